@@ -1,0 +1,8 @@
+"""JAX at its strictest: 64 bits, no silent broadcasting, no silent promotion."""
+
+import jax
+
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
