@@ -1,0 +1,291 @@
+r"""Pressure: where the tilted disc touches the part, and how hard it presses.
+
+The elastomer behind the disc is taken as a bed of independent springs (Winkler): each
+point presses with k times the depth it would otherwise sink in. On a plane everything
+has a closed form (a cylindrical ungula); on a curved part the gap gains the local
+curvature and a quadrature over the contact patch takes over. The tool frame has its
+origin at the contact point, which is the lowest point of the rim: xi runs along the feed
+direction, eta to its left.
+
+Ignored: shear between neighbouring springs, and the time the elastomer takes to relax.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..parts import Process, Scalar, Tool
+
+
+# Smallest rim angle at which a patch is drawn [-]: keeps arccos away from its corner.
+TINY = 1e-12
+
+
+def immersion(radius: Scalar, tilt: Scalar, displacement: Scalar) -> Scalar:
+    r"""Length of the contact segment in the disc plane, s = min(e / sin(theta), 2R) [mm].
+
+    At zero tilt the pressed disc touches as a whole and the value is 2R; without
+    displacement it is 0.
+
+    Args:
+        radius: Disc radius, $R$ [mm].
+        tilt: Tilt, $\theta$ [rad].
+        displacement: Displacement, $e$ [mm].
+
+    Source: own derivation; S0 (Pessoles & Tournier 2009) eq. (7) is its projection.
+    """
+    slope = jnp.sin(tilt)
+    partial = (displacement < 2 * radius * slope) | (displacement <= 0)
+    sloped = partial & (slope > 0)
+    part = jnp.maximum(displacement, 0.0) / jnp.where(sloped, slope, 1.0)
+    return jnp.where(partial, part, 2 * radius)
+
+
+def effective_diameter(radius: Scalar, tilt: Scalar, displacement: Scalar) -> Scalar:
+    r"""Width that the tilted disc wipes, D_eff [mm].
+
+    $D_{eff} = 2\sqrt{R^2 - l^2}$ with the chord distance $l = R - e/\sin\theta$ measured
+    in the disc plane. Once the contact reaches the disc's centre ($l \le 0$) the width is
+    the full diameter; the printed formula would let it shrink again. At zero displacement
+    it is 0, with a gradient of 0.
+
+    Args:
+        radius: Disc radius, $R$ [mm].
+        tilt: Tilt, $\theta$ [rad].
+        displacement: Displacement, $e$ [mm].
+
+    Source: S0 (Pessoles & Tournier 2009) eqs. (6), (7), with l unprojected and clamped.
+    """
+    reach = jnp.minimum(immersion(radius, tilt, displacement), radius)
+    square = reach * (2 * radius - reach)
+    touching = square > 0
+    return jnp.where(touching, 2 * jnp.sqrt(jnp.where(touching, square, 1.0)), 0.0)
+
+
+def envelope(radius: Scalar, process: Process) -> Scalar:
+    """Width of the strip that one trochoid polishes, E = 2 D_tr + D_eff [mm].
+
+    Args:
+        radius: Disc radius [mm].
+        process: Tilt, displacement and trochoid radius.
+
+    Source: S0 (Pessoles & Tournier 2009) eq. (8); D_tr acts as a radius.
+    """
+    width = effective_diameter(radius, process.tilt, process.displacement)
+    return 2 * process.trochoid_radius + width
+
+
+def _segment_angle(radius: Scalar, reach: Scalar) -> Scalar:
+    # half the angle that the contact segment subtends; its corners at 0 and pi are cut
+    return jnp.arccos(jnp.clip(1 - reach / radius, -1 + TINY, 1 - TINY))
+
+
+def flat_area(radius: Scalar, tilt: Scalar, displacement: Scalar) -> Scalar:
+    r"""Contact area on a plane [mm^2].
+
+    $A = \cos\theta\,R^2(\alpha - \sin\alpha\cos\alpha)$, $\cos\alpha = 1 - s/R$.
+
+    Args:
+        radius: Disc radius, $R$ [mm].
+        tilt: Tilt, $\theta$ [rad].
+        displacement: Displacement, $e$ [mm].
+
+    Source: area of a circular segment.
+    """
+    angle = _segment_angle(radius, immersion(radius, tilt, displacement))
+    return jnp.cos(tilt) * radius**2 * (angle - jnp.sin(angle) * jnp.cos(angle))
+
+
+def flat_force(
+    radius: Scalar, foundation: Scalar, tilt: Scalar, displacement: Scalar
+) -> Scalar:
+    r"""Force that presses a tilted disc on a plane [N].
+
+    $F = k\sin\theta\cos\theta\,R^3[\sin\alpha - \tfrac13\sin^3\alpha - \alpha\cos\alpha]$
+    while part of the disc touches; $F = k\cos\theta\,\pi R^2 (e - R\sin\theta)$ once all
+    of it does. Both values and slopes agree where the cases meet.
+
+    Args:
+        radius: Disc radius, $R$ [mm].
+        foundation: Stiffness of the elastic bed, $k$ [N/mm^3].
+        tilt: Tilt, $\theta$ [rad].
+        displacement: Displacement, $e$ [mm].
+
+    Source: own derivation, volume of a cylindrical ungula.
+    """
+    angle = _segment_angle(radius, immersion(radius, tilt, displacement))
+    sine, cosine = jnp.sin(angle), jnp.cos(angle)
+    ungula = radius**3 * (sine - sine**3 / 3 - angle * cosine)
+    part = foundation * jnp.sin(tilt) * jnp.cos(tilt) * ungula
+    excess = displacement - radius * jnp.sin(tilt)
+    whole = foundation * jnp.cos(tilt) * jnp.pi * radius**2 * excess
+    return jnp.where(displacement >= 2 * radius * jnp.sin(tilt), whole, part)
+
+
+class Patch(eqx.Module):
+    """The contact patch as quadrature nodes, rows across the feed, columns along it."""
+
+    offsets: Float[Array, "rows columns 2"]
+    """Node positions (xi, eta) from the contact point [mm]."""
+    arms: Float[Array, "rows columns 2"]
+    """Node positions from the disc's centre, in the disc plane: towards the contact
+    point, and along eta [mm]."""
+    pressure: Float[Array, "rows columns"]
+    """Contact pressure at each node [MPa]."""
+    area: Float[Array, "rows columns"]
+    """Area of part surface that each node stands for [mm^2]."""
+
+    @property
+    def force(self) -> Scalar:
+        """Force normal to the part [N]."""
+        return jnp.sum(self.pressure * self.area)
+
+    @property
+    def contact_area(self) -> Scalar:
+        """Area under pressure [mm^2]."""
+        return jnp.sum(jnp.where(self.pressure > 0, self.area, 0.0))
+
+
+def _rim_angle(process, radius, curvature) -> Scalar:
+    """Rim angle from the contact point beyond which no rim point touches [rad].
+
+    With c = 1 - cos(angle) the depth along the rim is a quadratic in c. Twist is counted
+    as relief on both sides, so that the patch is never cut short.
+    """
+    slope, level = jnp.sin(process.tilt), jnp.cos(process.tilt)
+    twist = jnp.abs(curvature[0, 1])
+    along = (curvature[0, 0] - twist) * level**2
+    across = curvature[1, 1] - twist
+    linear = radius * slope + across * radius**2
+    square = 0.5 * radius**2 * (along - across)
+    depth = jnp.maximum(process.displacement, 0.0)
+    inside = linear**2 + 4 * square * depth
+    root = jnp.sqrt(jnp.where(inside > 0, inside, 1.0))
+    below = jnp.where(inside > 0, linear + root, 0.0)
+    bounded = below > 2 * depth  # otherwise the rim touches a quarter turn or more
+    rise = jnp.where(bounded, 2 * depth / jnp.where(bounded, below, 1.0), 1.0)
+    return jnp.arccos(1 - jnp.clip(rise, TINY, 1.0))
+
+
+def patch(
+    process: Process,
+    tool: Tool,
+    curvature: Float[Array, "2 2"],
+    lean: float = 1.0,
+    rows: int = 6,
+    columns: int = 4,
+    panels: int = 1,
+) -> Patch:
+    r"""Contact patch of the tilted disc on a part of given local curvature.
+
+    At the distance $x$ from the lowest rim point in the disc plane, and $\eta$ beside it,
+    the depth is $w = e - x\sin\theta - \tfrac12 d^T \kappa\, d$ with
+    $d = (\mp x\cos\theta, \eta)$, and the pressure $k w_+$. Each row of nodes covers just
+    the part of the disc's chord where $w > 0$, by Gauss-Legendre quadrature, so the nodes
+    move smoothly with the process.
+
+    Args:
+        process: Tilt and displacement are read.
+        tool: Radius and foundation are read.
+        curvature: Normal curvature of the part in the frame (feed, left), positive where
+            convex [1/mm].
+        lean: +1 where the axis leans towards the feed (pulling), -1 away (pushing).
+        rows: Rows on either side of the feed direction; the patch has twice as many.
+        columns: Nodes along each row and panel.
+        panels: 1 where the part is flat or convex; 2 on a concave part, where a row may
+            touch near the rim and again beyond the disc's middle.
+
+    Returns:
+        The patch, with `2 * rows` rows and `panels * columns` columns. Without
+        displacement all pressures are zero.
+
+    Source: own derivation; flat case as `flat_force`.
+    """
+    radius, slope, level = tool.radius, jnp.sin(process.tilt), jnp.cos(process.tilt)
+    nodes, weights = (w.astype(float) for w in np.polynomial.legendre.leggauss(rows))
+    half_angle = 0.5 * _rim_angle(process, radius, curvature)
+    angle = half_angle * jnp.asarray(nodes + 1.0, dtype=half_angle.dtype)
+    angle = jnp.concatenate([-angle[::-1], angle])
+    height = half_angle * jnp.asarray(weights, dtype=half_angle.dtype)
+    height = jnp.concatenate([height[::-1], height]) * radius * jnp.cos(angle)
+    eta = radius * jnp.sin(angle)
+
+    # depth along a row: start - steep x - bend x^2 / 2
+    start = process.displacement - 0.5 * curvature[1, 1] * eta**2
+    steep = slope - lean * level * curvature[0, 1] * eta
+    bend = level**2 * curvature[0, 0]
+    near, far = radius * (1 - jnp.cos(angle)), radius * (1 + jnp.cos(angle))
+    inside = steep**2 + 2 * bend * start
+    real = inside > 0
+    root = jnp.where(real, jnp.sqrt(jnp.where(real, inside, 1.0)), 0.0)
+    below = steep + root
+    concave = bend < 0
+    turn = steep / jnp.where(concave, -bend, 1.0)  # where a concave row is shallowest
+    falls = below > TINY
+    first = jnp.where(falls, 2 * start / jnp.where(falls, below, 1.0), far)
+    # no slope and no bend: the row touches as a whole or not at all
+    level_row = jnp.where(start > 0, far, near)
+    first = jnp.where(real, first, jnp.where(concave, turn, level_row))
+    first = jnp.clip(first, near, far)
+    ends = [(near, first)]
+    if panels == 2:
+        second = jnp.where(concave, below / jnp.where(concave, -bend, 1.0), far)
+        ends.append((jnp.clip(second, first, far), far))
+
+    nodes, weights = (w.astype(float) for w in np.polynomial.legendre.leggauss(columns))
+    nodes = jnp.asarray(0.5 * (nodes + 1.0), dtype=eta.dtype)[None, :]
+    weights = jnp.asarray(0.5 * weights, dtype=eta.dtype)[None, :]
+    x = jnp.concatenate([a[:, None] + (b - a)[:, None] * nodes for a, b in ends], axis=1)
+    width = jnp.concatenate([(b - a)[:, None] * weights for a, b in ends], axis=1)
+    depth = start[:, None] - steep[:, None] * x - 0.5 * bend * x**2
+    across = jnp.broadcast_to(eta[:, None], x.shape)
+    return Patch(
+        offsets=jnp.stack([-lean * level * x, across], axis=-1),
+        arms=jnp.stack([radius - x, across], axis=-1),
+        pressure=tool.foundation * jnp.maximum(depth, 0.0),
+        area=level * width * height[:, None],
+    )
+
+
+def body_clearance(process: Process, tool: Tool) -> Scalar:
+    r"""Displacement left before the rigid body touches the part [mm]; negative: it does.
+
+    $e_{crit} - e$, $e_{crit} = h_b\cos\theta + (R - R_b)\sin\theta$: the disc comes
+    unstuck when the stiff support behind it reaches the part, sooner at low tilt.
+
+    Args:
+        process: Tilt and displacement are read.
+        tool: Radius, body radius and recess are read.
+
+    Source: own derivation of the mechanism described in S0 (Pessoles & Tournier 2009)
+    section 2.1.
+    """
+    lift = (tool.radius - tool.body_radius) * jnp.sin(process.tilt)
+    return tool.body_recess * jnp.cos(process.tilt) + lift - process.displacement
+
+
+def unstick_force(tilt: Scalar, tool: Tool) -> Scalar:
+    """Force at which the disc comes unstuck at this tilt [N].
+
+    Linear between the measured tilts; beyond them the nearest measurement holds.
+
+    Args:
+        tilt: Tilt [rad].
+        tool: The table `unstick_tilts`, `unstick_forces` is read.
+    """
+    return jnp.interp(tilt, tool.unstick_tilts, tool.unstick_forces)
+
+
+def shear_margin(process: Process, tool: Tool) -> Scalar:
+    r"""Shear stress left before the adhesive fails [MPa]; infinite where not given.
+
+    $\tau - \mu k e$: friction under the deepest point, where the pressure is $k e$.
+
+    Args:
+        process: Displacement is read.
+        tool: Friction, foundation and shear strength are read.
+
+    Source: own derivation, Coulomb friction under a Winkler bed.
+    """
+    return tool.shear_strength - tool.friction * tool.foundation * process.displacement

@@ -1,0 +1,244 @@
+"""The disc against closed forms on the flat, and brute force on curved parts."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import assert_close
+from polishopt.contact import pressure
+from polishopt.parts import Process, Tool
+
+
+DEG = np.pi / 180
+FLAT = jnp.zeros((2, 2))
+
+
+patch = eqx.filter_jit(pressure.patch)
+
+
+def disc(diameter=18.0, foundation=0.3, **more):
+    fields = {
+        "body_radius": 5.0,
+        "body_recess": 0.6,
+        "unstick_tilts": [3 * DEG, 5 * DEG, 10 * DEG],
+        "unstick_forces": [8.0, 12.0, 18.0],
+    }
+    return Tool(radius=diameter / 2, foundation=foundation, **(fields | more))
+
+
+def process(tilt_deg, displacement, **more):
+    fields = {"step": 1.0, "trochoid_radius": 6.0, "feed": 16.7, "spin": 209.4}
+    return Process(tilt=tilt_deg * DEG, displacement=displacement, **(fields | more))
+
+
+# F/k [mm^3] of a disc of 18 mm: integral of the depth over the touching segment
+FORCE_TABLE = {
+    0.15: (1.59, 0.75, 0.27, 0.14),
+    0.30: (8.64, 4.14, 1.49, 0.81),
+    0.40: (17.24, 8.36, 3.03, 1.65),
+    0.60: (44.63, 22.31, 8.22, 4.50),
+    0.90: (109.1, 58.2, 22.1, 12.2),
+    1.20: (185.3, 112.2, 44.3, 24.7),
+}
+
+
+@pytest.mark.parametrize("displacement", FORCE_TABLE)
+@pytest.mark.parametrize(("column", "tilt_deg"), enumerate((3, 5, 10, 15)))
+def test_force_table(displacement, column, tilt_deg):
+    force = pressure.flat_force(
+        jnp.asarray(9.0),
+        jnp.asarray(1.0),
+        jnp.asarray(tilt_deg * DEG),
+        jnp.asarray(displacement),
+    )
+    # the table is printed to three figures, or to 0.005 mm^3
+    assert_close(force, FORCE_TABLE[displacement][column], rtol=5e-3, atol=5e-3)
+    nodes = patch(process(tilt_deg, displacement), disc(foundation=1.0), FLAT)
+    assert_close(nodes.force, force, rtol=5e-4)
+
+
+def brute_force(tilt_deg, displacement, curvature, diameter=18.0, lean=1.0, count=1500):
+    """Force / k, area and width by summing a fine grid of springs."""
+    radius, tilt = diameter / 2, tilt_deg * DEG
+    line = (np.arange(count) + 0.5) / count * diameter - radius
+    towards, y = np.meshgrid(line, line)
+    x = radius - towards
+    xi = -lean * x * np.cos(tilt)
+    sag = curvature[0][0] * xi**2 + 2 * curvature[0][1] * xi * y + curvature[1][1] * y**2
+    depth = displacement - x * np.sin(tilt) - sag / 2
+    touching = (depth > 0) & (towards**2 + y**2 < radius**2)
+    cell = (diameter / count) ** 2 * np.cos(tilt)
+    return depth[touching].sum() * cell, touching.sum() * cell
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "displacement", "diameter", "radius", "force_ratio"),
+    [
+        (3, 0.4, 18, 500, 0.80),
+        (3, 0.4, 18, 200, 0.63),
+        (3, 0.4, 18, 100, 0.47),
+        (3, 0.4, 18, 50, 0.32),
+        (3, 0.4, 18, -200, 3.42),
+        (3, 0.4, 18, -100, 7.89),
+        (3, 0.3, 6, 500, 0.92),
+        (3, 0.3, 6, 100, 0.69),
+        (3, 0.3, 6, -100, 1.47),
+        (10, 0.6, 18, 200, 0.87),
+        (10, 0.6, 18, 50, 0.64),
+        (10, 0.6, 18, -100, 1.55),
+    ],
+)
+def test_curvature_changes_the_force(tilt_deg, displacement, diameter, radius, force_ratio):
+    tool, setting = disc(diameter), process(tilt_deg, displacement)
+    curved = patch(setting, tool, jnp.eye(2) / radius, rows=8, columns=6, panels=2)
+    flat = patch(setting, tool, FLAT, rows=8, columns=6)
+    assert_close(curved.force / flat.force, force_ratio, rtol=0.02)
+    force, area = brute_force(tilt_deg, displacement, np.eye(2) / radius, diameter)
+    assert_close(curved.force, 0.3 * force, rtol=2e-3)
+    assert_close(curved.contact_area, area, rtol=5e-3)
+
+
+@pytest.mark.parametrize("lean", [1.0, -1.0])
+def test_saddle_with_twist_matches_brute_force(lean):
+    curvature = [[0.004, 0.003], [0.003, -0.002]]
+    nodes = patch(
+        process(6, 0.5), disc(), jnp.asarray(curvature), lean, rows=16, columns=12, panels=2
+    )
+    force, area = brute_force(6, 0.5, curvature, lean=lean)
+    assert_close(nodes.force, 0.3 * force, rtol=3e-3)
+    assert_close(nodes.contact_area, area, rtol=1e-2)
+
+
+def test_full_contact_on_constant_curvature():
+    """Winkler: F = k (pi R^2 d - pi R^4 (k_x + k_y) / 8), d the depth at the middle."""
+    radius, kx, ky = 9.0, -0.004, -0.002
+    nodes = patch(
+        process(1e-9, 0.8),
+        disc(),
+        jnp.diag(jnp.asarray([kx, ky])),
+        rows=12,
+        columns=8,
+        panels=2,
+    )
+    # e is set at the rim, a radius away from the middle along the feed; the sag of a part
+    # with k_x along the feed is measured from there
+    total = np.pi * radius**2 * 0.8
+    along = np.pi * radius**4 * (1 / 4 + 1) * kx / 2
+    across = np.pi * radius**4 / 4 * ky / 2
+    assert_close(nodes.force, 0.3 * (total - along - across), rtol=1e-6)
+
+
+def test_flat_disc_presses_as_a_whole():
+    nodes = patch(process(0, 0.2), disc(), FLAT)
+    assert_close(nodes.force, 0.3 * 0.2 * np.pi * 81, rtol=1e-3)
+
+
+def test_patch_geometry():
+    setting, tool = process(5, 0.6), disc()
+    pulling = patch(setting, tool, FLAT)
+    pushing = patch(setting, tool, FLAT, lean=-1.0)
+    assert (pulling.offsets[..., 0] <= 0).all(), (
+        "a pulled disc touches behind its rim point"
+    )
+    assert_close(pushing.offsets[..., 0], -pulling.offsets[..., 0])
+    assert_close(pulling.pressure, pushing.pressure)
+    width = 2 * jnp.abs(pulling.offsets[..., 1]).max()
+    d_eff = pressure.effective_diameter(tool.radius, setting.tilt, setting.displacement)
+    assert 0.9 * d_eff < width < d_eff
+    area = pressure.flat_area(tool.radius, setting.tilt, setting.displacement)
+    assert_close(pulling.contact_area, area, rtol=1e-3)
+
+
+def test_effective_diameter():
+    r9, tilt = jnp.asarray(9.0), jnp.asarray(3 * DEG)
+    l = 9.0 - 0.4 / np.sin(3 * DEG)
+    assert_close(
+        pressure.effective_diameter(r9, tilt, jnp.asarray(0.4)), 2 * np.sqrt(81 - l**2)
+    )
+    # past the middle of the disc the width is the diameter, where S0 eq. (6) has 2.48 mm
+    r3 = jnp.asarray(3.0)
+    assert_close(pressure.effective_diameter(r3, tilt, jnp.asarray(0.3)), 6.0)
+    assert_close(pressure.envelope(r3, process(3, 0.3)), 18.0)
+
+
+def test_unstick_limits():
+    tool = disc(shear_strength=0.1)
+    for tilt_deg in (5, 10, 15):
+        critical = 0.6 * np.cos(tilt_deg * DEG) + 4 * np.sin(tilt_deg * DEG)
+        assert_close(pressure.body_clearance(process(tilt_deg, 1.2), tool), critical - 1.2)
+        # S0 Fig. 4: at 1.2 mm only the 5 degree curve has come unstuck
+        assert (critical < 1.2) == (tilt_deg == 5)
+    assert_close(pressure.unstick_force(jnp.asarray(4 * DEG), tool), 10.0)
+    assert_close(pressure.unstick_force(jnp.asarray(20 * DEG), tool), 18.0)
+    assert_close(pressure.shear_margin(process(5, 0.5), tool), 0.1 - 0.4 * 0.3 * 0.5)
+
+
+def test_no_hidden_units():
+    """Restated in metres (and pascals), every length, area and force follows."""
+    tool = disc()
+    metres = Tool(
+        radius=9e-3,
+        foundation=0.3e9,
+        body_radius=5e-3,
+        body_recess=0.6e-3,
+        unstick_tilts=tool.unstick_tilts,
+        unstick_forces=tool.unstick_forces,
+    )
+    here = patch(process(5, 0.4), tool, jnp.eye(2) / 100)
+    there = patch(process(5, 0.4e-3), metres, jnp.eye(2) / 0.1)
+    assert_close(there.force, here.force, rtol=1e-9)
+    assert_close(there.contact_area, 1e-6 * here.contact_area, rtol=1e-9)
+    assert_close(there.pressure, 1e6 * here.pressure, rtol=1e-7, atol=1e-3)
+    assert_close(
+        pressure.flat_force(
+            metres.radius, metres.foundation, *map(jnp.asarray, (0.1, 4e-4))
+        ),
+        pressure.flat_force(tool.radius, tool.foundation, *map(jnp.asarray, (0.1, 0.4))),
+    )
+
+
+@jax.jit
+def outcomes(x):
+    """What depends on (tilt, displacement, curvature), for the gradient tests."""
+    tool, setting = disc(), Process(x[0], x[1], 1.0, 6.0, 16.7, 209.4)
+    nodes = pressure.patch(setting, tool, x[2] * jnp.eye(2), panels=2)
+    return jnp.stack(
+        [
+            nodes.force,
+            jnp.sum(nodes.pressure * nodes.area**2),
+            pressure.flat_force(tool.radius, tool.foundation, x[0], x[1]),
+            pressure.flat_area(tool.radius, x[0], x[1]),
+            nodes.contact_area,
+            jnp.sum(nodes.offsets**2),
+            pressure.effective_diameter(tool.radius, x[0], x[1]),
+        ]
+    )
+
+
+forward, reverse = jax.jit(jax.jacfwd(outcomes)), jax.jit(jax.jacrev(outcomes))
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "displacement"),
+    # on both sides of full contact (0.942 mm) and of contact past the middle (0.471 mm)
+    [(3, 0.4), (10, 0.4), (3, 0.938), (3, 0.946), (3, 0.4705), (15, 1e-3)],
+)
+@pytest.mark.parametrize("bend", [1e-9, 0.01, -0.005])
+def test_gradients(tilt_deg, displacement, bend):
+    x = np.array([tilt_deg * DEG, displacement, bend])
+    got = forward(x)
+    assert_close(reverse(x), got, rtol=1e-8, atol=1e-9)
+    for i in range(2):
+        h = np.eye(3)[i] * 1e-6 * x[i]
+        slope = (outcomes(x + h) - outcomes(x - h)) / (2 * h[i])
+        assert_close(got[:4, i], slope[:4], rtol=2e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.1])
+@pytest.mark.parametrize("displacement", [0.0, -0.1, 0.5, 18 * np.sin(0.1), 0.9])
+@pytest.mark.parametrize("bend", [0.0, 0.01, -0.01])
+def test_gradients_are_finite_at_every_corner(tilt, displacement, bend):
+    x = np.array([tilt, displacement, bend])
+    for values in (outcomes(x), forward(x), reverse(x)):
+        assert np.isfinite(values).all()
