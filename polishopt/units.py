@@ -35,6 +35,7 @@ UNITS = {
     "GPa": 1e3,
     "1_Pa": 1e6,
     "1_mm": 1.0,
+    "percent": 1e-2,
 }
 
 # how a unit is written for people
@@ -54,6 +55,7 @@ LABELS = {
     "N_mm3": "N/mm³",
     "1_Pa": "1/Pa",
     "1_mm": "1/mm",
+    "percent": "%",
 }
 
 

@@ -134,13 +134,12 @@ def preston_rates(
     return preston * patch.pressure * patch.area * speed
 
 
-def _spread(points: Float[Array, "n 2"], grid: Grid):
-    """First pixel and the three B-spline weights of each point along x and y."""
-    position = grid.pixels(points)
-    nearest = jnp.round(position)
-    t = position - nearest  # in [-1/2, 1/2]
-    weights = jnp.stack([0.5 * (0.5 - t) ** 2, 0.75 - t**2, 0.5 * (0.5 + t) ** 2], axis=-1)
-    return jax.lax.stop_gradient(nearest), weights
+def _weights(position: Float[Array, " n"], count: int) -> Float[Array, "n {count}"]:
+    """Quadratic B-spline weight of each position on each of `count` pixels [-]."""
+    pixel = jnp.asarray(np.arange(count), dtype=position.dtype)
+    t = jnp.abs(position[:, None] - pixel[None, :])
+    edge = jnp.maximum(1.5 - t, 0.0)
+    return jnp.where(t < 0.5, 0.75 - t**2, 0.5 * edge**2)
 
 
 def deposit(
@@ -150,28 +149,18 @@ def deposit(
 
     Each volume is spread by a quadratic B-spline over 3 x 3 pixels; what falls beyond
     the grid is gone. The depth is per area of the parameter plane: on a curved part,
-    divide by its area stretch.
+    divide by its area stretch. The spline is a product, so the map is one product of
+    two matrices: many times faster than adding up pixel by pixel.
 
     Args:
         points: Where the volumes were, in the parameter plane [mm].
         volumes: How much was removed there [mm^3].
         grid: The pixels.
     """
+    position = grid.pixels(points)
     ny, nx = grid.shape
-    nearest, weights = _spread(points, grid)
-    # two spare pixels on every side take what falls beyond the grid
-    limit = jnp.asarray([nx, ny], dtype=nearest.dtype)[None, :]
-    index = (jnp.clip(nearest, -1, limit) + 2).astype(jnp.int32)
-    off = jnp.any((nearest < -1) | (nearest > limit), axis=1)
-    volumes = jnp.where(off, 0.0, volumes)
-    shift = jnp.arange(-1, 2, dtype=index.dtype)
-    column = index[:, 0, None] + shift[None, :]
-    row = index[:, 1, None] + shift[None, :]
-    flat = row[:, :, None] * (nx + 4) + column[:, None, :]
-    shares = volumes[:, None, None] * weights[:, 1, :, None] * weights[:, 0, None, :]
-    spare = jnp.zeros((ny + 4) * (nx + 4), dtype=shares.dtype)
-    spare = spare.at[flat.reshape(-1)].add(shares.reshape(-1))
-    return spare.reshape(ny + 4, nx + 4)[2:-2, 2:-2] / grid.pixel_area
+    rows = _weights(position[:, 1], ny) * volumes[:, None]
+    return rows.T @ _weights(position[:, 0], nx) / grid.pixel_area
 
 
 def fraction_inside(points: Float[Array, "n 2"], grid: Grid) -> Float[Array, " n"]:
@@ -200,7 +189,7 @@ def superpose(
     dwell: Float[Array, " n"],
     grid: Grid,
     frames: Float[Array, "n 2 2"] | None = None,
-    block: int = 1 << 20,
+    block: int = 1 << 15,
 ) -> Float[Array, "ny nx"]:
     """Removal depth that a footprint leaves after dwelling at a list of points [mm].
 

@@ -1,0 +1,254 @@
+"""Given: the sections of a config that say what a shop has.
+
+The part, the tool, the abrasive, the machine, and the curve that guides the trochoid.
+Every physical key ends in its unit, and the docstring under each key is what an editor
+shows.
+"""
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from . import library
+from .quantity import BRIEF, Between, reject
+
+
+Millimetres = Annotated[float, Between("[-1e4, 1e4]")]
+Side = Annotated[float, Between("(0, 2000]")]
+
+
+class Section(BaseModel):
+    """A part of the config: no unknown keys, no later change."""
+
+    model_config = BRIEF
+
+
+def shelf(name: str) -> ConfigDict:
+    """A section whose keys may come from a preset: then none of them is required."""
+
+    def loosen(schema: dict[str, Any]) -> None:
+        schema["properties"]["preset"] = {
+            "description": f"Take the keys that are not given from one of the {name}.",
+            "enum": list(library.names(name)),
+        }
+        required = schema.pop("required", [])
+        schema["anyOf"] = [{"required": ["preset"]}, {"required": required}]
+
+    return {**BRIEF, "json_schema_extra": loosen}
+
+
+def named(name: str) -> Any:
+    """In the JSON schema of a key, the name of a preset beside the section itself."""
+
+    def widen(schema: dict[str, Any]) -> None:
+        section = {"$ref": schema.pop("$ref")}
+        schema["anyOf"] = [{"enum": list(library.names(name))}, section]
+
+    return Field(json_schema_extra=widen)
+
+
+class Plane(Section):
+    """A flat part."""
+
+    surface: Literal["plane"]
+    size_mm: tuple[Side, Side]
+    """Sides of the rectangle to polish."""
+
+
+class SphereCap(Section):
+    """A rectangular patch of a sphere, its middle on top."""
+
+    surface: Literal["sphere_cap"]
+    size_mm: tuple[Side, Side]
+    """Sides of the patch, seen from above."""
+    radius_mm: Annotated[float, Between("[-1e6, 1e6]")]
+    """Radius of the sphere: positive for a convex part, negative for a concave one."""
+
+    @model_validator(mode="after")
+    def _spans(self):
+        reach = math.hypot(*self.size_mm) / 2
+        if abs(self.radius_mm) <= reach:
+            reject(
+                (
+                    ("radius_mm",),
+                    f"must exceed half the diagonal of the patch, {reach:.6g} mm",
+                    self.radius_mm,
+                )
+            )
+        return self
+
+
+class HyperbolicParaboloid(Section):
+    """A saddle, z = twist x y."""
+
+    surface: Literal["hyperbolic_paraboloid"]
+    size_mm: tuple[Side, Side]
+    """Sides of the patch, seen from above."""
+    twist_1_mm: Annotated[float, Between("[-1, 1]")]
+    """Change of slope along one side per length along the other."""
+
+
+Part = Annotated[Plane | SphereCap | HyperbolicParaboloid, Field(discriminator="surface")]
+
+
+class Unstick(Section):
+    """Measured forces at which the disc comes unstuck."""
+
+    tilt_deg: tuple[Annotated[float, Between("[0, 45]")], ...]
+    """Tilts of the measurements, ascending."""
+    force_N: tuple[Annotated[float, Between("(0, 1e4]")], ...]
+    """Force at which the disc comes unstuck, one for each tilt."""
+
+    @model_validator(mode="after")
+    def _table(self):
+        tilts, forces = self.tilt_deg, self.force_N
+        wrongs = []
+        if not tilts or any(a >= b for a, b in zip(tilts, tilts[1:], strict=False)):
+            wrongs.append(
+                (("tilt_deg",), "must hold tilts in ascending order", list(tilts))
+            )
+        if len(forces) != len(tilts):
+            sentence = f"must hold one force for each of the {len(tilts)} tilts"
+            wrongs.append((("force_N",), sentence, list(forces)))
+        if wrongs:
+            reject(*wrongs)
+        return self
+
+
+class Tool(Section):
+    """A compliant disc on a stiffer body."""
+
+    model_config = shelf("tools")
+
+    preset: str | None = None
+    diameter_mm: Annotated[float, Between("(0, 500]")]
+    """Diameter of the disc, D."""
+    foundation_N_mm3: Annotated[float, Between("(0, 1000]")]
+    """Stiffness of the elastic disc per area: pressure per depth pressed in, k."""
+    body_radius_mm: Annotated[float, Between("[0, 250]")]
+    """Radius of the rigid body behind the disc."""
+    body_recess_mm: Annotated[float, Between("(0, 100]")]
+    """How far that body stands behind the face of the disc."""
+    friction: Annotated[float, Between("[0, 2]")] = 0.4
+    """Friction coefficient between abrasive and part."""
+    shear_strength_MPa: Annotated[float, Between("(0, 1000]")] | None = None
+    """Shear stress at which the adhesive of the disc fails; leave out if unknown."""
+    unstick: Unstick | None = None
+    """Forces at which the disc comes unstuck; leave out for a tool that is not glued."""
+
+    @model_validator(mode="after")
+    def _body_fits(self):
+        if self.body_radius_mm >= self.diameter_mm / 2:
+            sentence = (
+                f"must be smaller than the disc's radius, {self.diameter_mm / 2:g} mm"
+            )
+            reject((("body_radius_mm",), sentence, self.body_radius_mm))
+        return self
+
+
+class Abrasive(Section):
+    """A grade of abrasive on a given work material."""
+
+    model_config = shelf("abrasives")
+
+    preset: str | None = None
+    preston_1_Pa: Annotated[float, Between("(0, 1e-6]")]
+    """Preston coefficient: depth removed per pressure and per length of sliding."""
+    grain_um: Annotated[float, Between("(0, 2000]")]
+    """Mean diameter of the grains."""
+    active_fraction: Annotated[float, Between("(0, 1]")]
+    """Active grains per grain diameter squared of contact."""
+    half_angle_deg: Annotated[float, Between("(0, 89]")]
+    """Half-angle of the cone that stands for the tip of a grain."""
+    hardness_GPa: Annotated[float, Between("(0, 100]")]
+    """Hardness of the work material."""
+    pad_modulus_MPa: Annotated[float, Between("(0, 1e6]")]
+    """Effective elastic modulus of what carries the grains."""
+    depth_variation: Annotated[float, Between("[0, 3]")]
+    """Standard deviation of the depths of grooves over their mean."""
+    conformity_mm: Annotated[float, Between("(0, 100]")]
+    """Length above which the disc follows the surface instead of bridging it."""
+    asperity_stiffness_N_mm3: Annotated[float, Between("(0, 1e12]")] | None = None
+    """Pressure per height of an asperity, if measured; else it follows from the pad."""
+
+
+class LinearAxis(Section):
+    """Limits of an axis that moves along a line."""
+
+    speed_m_min: Annotated[float, Between("(0, 1000]")]
+    """Fastest speed."""
+    acceleration_m_s2: Annotated[float, Between("(0, 1000]")]
+    """Largest acceleration."""
+    jerk_m_s3: Annotated[float, Between("(0, 1e6]")]
+    """Largest jerk."""
+
+
+class RotaryAxis(Section):
+    """Limits of an axis that turns."""
+
+    speed_rpm: Annotated[float, Between("(0, 1e4]")]
+    """Fastest speed."""
+    acceleration_rev_s2: Annotated[float, Between("(0, 1e4]")]
+    """Largest acceleration."""
+    jerk_rev_s3: Annotated[float, Between("(0, 1e6]")]
+    """Largest jerk."""
+
+
+class Axes(Section):
+    """The five axes: X, Y and Z move along lines, A tilts the table, C turns it."""
+
+    X: LinearAxis
+    Y: LinearAxis
+    Z: LinearAxis
+    A: RotaryAxis
+    C: RotaryAxis
+
+
+class Machine(Section):
+    """A 5-axis milling centre whose table tilts about X (A) and turns about Z (C)."""
+
+    model_config = shelf("machines")
+
+    preset: str | None = None
+    axes: Axes
+    """Limits of each axis."""
+    tilt_pivot_mm: tuple[Millimetres, Millimetres, Millimetres] = (0.0, 0.0, 0.0)
+    """A point of the A axis in machine coordinates, with A and C at zero."""
+    turn_pivot_mm: tuple[Millimetres, Millimetres, Millimetres] = (0.0, 0.0, 0.0)
+    """From that point to the origin of the part on the C axis."""
+
+
+class Guide(Section):
+    """The curve that the trochoid runs along."""
+
+    corner: Literal["smooth", "arc", "sharp"] = "smooth"
+    """How corners are rounded: smooth (curvature changes gently), by an arc, or not."""
+    fillet: Annotated[float, Between("(0, 0.5]")] = 0.5
+    """How much of each side a rounded corner takes, as a share of the side."""
+    mode: Literal["pulling", "pushing"] = "pulling"
+    """Pulling: the tool axis leans along the travel. Pushing: against it."""
+    lean: Literal["guide", "fixed"] = "guide"
+    """Lean along the guide curve, or everywhere along the x axis of the part."""
+
+    @model_validator(mode="after")
+    def _fillet_is_used(self):
+        if self.corner == "sharp" and "fillet" in self.model_fields_set:
+            reject((("fillet",), "must be left out where `corner` is sharp", self.fillet))
+        return self
+
+
+class Hilbert(Guide):
+    """A Hilbert curve, which covers the part without a preferred direction."""
+
+    family: Literal["hilbert"]
+    order: Annotated[int, Between("[1, 7]")]
+    """Order of the curve: it visits 2^order by 2^order cells."""
+
+
+class Lines(Guide):
+    """Parallel lines, there and back."""
+
+    family: Literal["lines"]
+    count: Annotated[int, Between("[2, 500]")]
+    """Number of lines."""

@@ -1,0 +1,132 @@
+"""Schema: a whole config file, and its JSON schema for editors.
+
+Nothing in these modules computes physics, and nothing imports JAX: a mistake in a config
+is reported before JAX is loaded.
+"""
+
+import json
+import sys
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from .asked import Limits, Process, Start, Target
+from .given import Abrasive, Hilbert, Lines, Machine, Part, Section, Tool, named
+from .quantity import Between, Tuned
+
+
+class Texture(Section):
+    """How the texture is evaluated and drawn."""
+
+    l_filter_mm: Annotated[float, Between("(0, 100]")] = 0.8
+    """Cut-off of the roughness filter (L-filter): longer waves do not count."""
+    patch_mm: Annotated[float, Between("(0, 100]")] = 1.0
+    """Side of the drawn patch of texture."""
+    patch_pixels: Annotated[int, Between("[16, 4096]")] = 512
+    """Pixels along each side of the drawn patch."""
+
+
+class Solver(Section):
+    """How the answer is searched for."""
+
+    starts: Annotated[int, Between("[1, 4096]")] = 16
+    """How many searches run side by side, from different places; the first from `start`."""
+    seed: Annotated[int, Between("[0, 1e9]")] = 0
+    """Seed of the other places."""
+    max_outer: Annotated[int, Between("[1, 1000]")] = 30
+    """Most rounds of the search (updates of the multipliers)."""
+    tolerance: Annotated[float, Between("(0, 0.1]")] = 1e-6
+    """How exactly the conditions of the optimum must hold."""
+
+
+class Sampling(Section):
+    """How finely the physics is sampled; for experts, to trade time for accuracy."""
+
+    stations_per_cell: Annotated[int, Between("[1, 256]")] = 3
+    """Nodes along each cell of the guide curve."""
+    phases: Annotated[int, Between("[4, 1024]")] = 16
+    """Phases of the trochoid's loop at each of them."""
+    rows: Annotated[int, Between("[1, 1024]")] = 4
+    """Rows of the contact patch on either side of the feed."""
+    columns: Annotated[int, Between("[1, 1024]")] = 3
+    """Nodes along each of these rows."""
+    grid: Annotated[int, Between("[8, 2048]")] = 32
+    """Pixels along each side of the removal map."""
+    planarisation: Annotated[int, Between("[1, 1024]")] = 16
+    """Steps in which the wear of a height map is integrated."""
+
+
+class Config(Section):
+    """One polishing step: what is given, what to reach, and what to keep."""
+
+    version: Literal[1] = Field(alias="schema")
+    """Version of this file format."""
+    title: str = ""
+    """A name for reports."""
+    part: Part
+    """The surface to polish."""
+    tool: Annotated[Tool, named("tools")]
+    """The disc: a preset by name, keys, or a preset with some keys replaced."""
+    abrasive: Annotated[Abrasive, named("abrasives")]
+    """The abrasive: a preset by name, keys, or a preset with some keys replaced."""
+    machine: Annotated[Machine, named("machines")]
+    """The machine: a preset by name, keys, or a preset with some keys replaced."""
+    guide: Annotated[Hilbert | Lines, Field(discriminator="family")]
+    """The curve that the trochoid runs along."""
+    process: Process
+    """What is set on the machine, and which of it is tuned."""
+    start: Start
+    """The surface before this step."""
+    target: Target
+    """The texture to reach."""
+    limits: Limits = Limits()
+    """What the answer must not exceed."""
+    secondary: Literal["time", "force", "none"] = "time"
+    """What to make small among answers that reach the target equally well."""
+    texture: Texture = Texture()
+    """How the texture is evaluated and drawn."""
+    solver: Solver = Solver()
+    """How the answer is searched for."""
+    sampling: Sampling = Sampling()
+    """How finely the physics is sampled."""
+
+    def tuned(self) -> dict[str, Tuned]:
+        """The process values that the optimiser moves, by key."""
+        return {key: value for key, value in self.process if isinstance(value, Tuned)}
+
+
+def brief(node: Any) -> Any:
+    """A JSON schema without made-up titles and without null for what may be left out."""
+    if isinstance(node, list):
+        return [brief(part) for part in node]
+    if not isinstance(node, dict):
+        return node
+    kept = {
+        k: brief(v) for k, v in node.items() if not (k == "title" and isinstance(v, str))
+    }
+    if kept.get("default", ...) is None:
+        del kept["default"]
+    choices = [one for one in kept.get("anyOf", []) if one != {"type": "null"}]
+    if len(choices) == 1:
+        del kept["anyOf"]
+        kept = {**choices[0], **kept}
+    return kept
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON schema of a config file, presets not yet filled in."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "polishopt config",
+        **brief(Config.model_json_schema(by_alias=True)),
+    }
+
+
+def schema_text() -> str:
+    """The JSON schema as `configs/schema.json` holds it."""
+    return json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+if __name__ == "__main__":
+    # python -m polishopt.files.schema > configs/schema.json
+    sys.stdout.write(schema_text())
