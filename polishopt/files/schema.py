@@ -44,11 +44,11 @@ class Sampling(Section):
 
     stations_per_cell: Annotated[int, Between("[1, 256]")] = 3
     """Nodes along each cell of the guide curve."""
-    phases: Annotated[int, Between("[4, 1024]")] = 16
+    phases: Annotated[int, Between("[4, 1024]")] = 12
     """Phases of the trochoid's loop at each of them."""
-    rows: Annotated[int, Between("[1, 1024]")] = 4
+    rows: Annotated[int, Between("[1, 1024]")] = 3
     """Rows of the contact patch on either side of the feed."""
-    columns: Annotated[int, Between("[1, 1024]")] = 3
+    columns: Annotated[int, Between("[1, 1024]")] = 2
     """Nodes along each of these rows."""
     grid: Annotated[int, Between("[8, 2048]")] = 32
     """Pixels along each side of the removal map."""

@@ -1,1 +1,44 @@
-"""."""
+"""Texture: what the surface looks like before, during and after polishing."""
+
+from .areal import (
+    Cumulants as Cumulants,
+    HeightParameters as HeightParameters,
+    Sa_estimate as Sa_estimate,
+    cumulants as cumulants,
+    gaussian_filter as gaussian_filter,
+    gaussian_transmission as gaussian_transmission,
+    height_parameters as height_parameters,
+    parameters_from_cumulants as parameters_from_cumulants,
+)
+from .evolution import (
+    Texture as Texture,
+    combine as combine,
+    draw_patch as draw_patch,
+    ripple_cumulants as ripple_cumulants,
+)
+from .milling import (
+    MilledSurface as MilledSurface,
+    Sz_analytic as Sz_analytic,
+    Sz_as_printed as Sz_as_printed,
+    cusp_heights as cusp_heights,
+    envelope_radius as envelope_radius,
+    equivalent_radius as equivalent_radius,
+    feed_radius as feed_radius,
+    milled_cumulants as milled_cumulants,
+    milled_map as milled_map,
+    scallop_cumulants as scallop_cumulants,
+    scallops as scallops,
+)
+from .planarisation import (
+    asperity_stiffness as asperity_stiffness,
+    pad_pressure as pad_pressure,
+    planarise as planarise,
+)
+from .scratches import (
+    Scratches as Scratches,
+    compression as compression,
+    decay as decay,
+    decay_rate as decay_rate,
+    groove_cumulants as groove_cumulants,
+    groove_depth as groove_depth,
+)

@@ -1,0 +1,351 @@
+r"""Chain: the whole process as one function, from tilt and displacement to Ssk and Sku.
+
+The optimiser sees the process averaged over the phase at which each loop of the trochoid
+happens to start. At the end of a path ten metres long that phase turns with every micron
+of the step, so the map of one particular path is noise to a derivative, while its
+average is smooth. What the average leaves out is the ripple, whose strength is known in
+closed form. Along the guide, each station carries one loop of the trochoid: its feed is
+the fastest the axes allow for that loop run again and again.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .contact.pressure import (
+    Patch,
+    body_clearance,
+    effective_diameter,
+    envelope,
+    patch,
+    shear_margin,
+    unstick_force,
+)
+from .contact.removal import deposit, fraction_inside, preston_rates
+from .contact.ripple import ripple
+from .machine.feed import Limits
+from .machine.kinematics import inverse
+from .machine.loop import loop_rate
+from .parts import Process, Scalar
+from .path.surface import area_stretch, curvature, tangent_to_parameter
+from .path.toolpath import posture
+from .setup import Setup
+from .texture.areal import (
+    Cumulants,
+    cumulants,
+    gaussian_transmission,
+    transmit,
+    wavelengths,
+)
+from .texture.evolution import Texture, combine
+from .texture.planarisation import asperity_stiffness, planarise
+from .texture.scratches import decay, decay_rate, groove_cumulants
+
+
+# The ripple's transform asks more of the contact patch than its integrals do.
+RIPPLE_ROWS, RIPPLE_COLUMNS, RIPPLE_PHASES = 16, 96, 256
+
+
+class Outcome(eqx.Module):
+    """What one polishing step does."""
+
+    force: Scalar
+    """Force normal to the part, averaged over time [N]."""
+    force_max: Scalar
+    """Its largest value along the path [N]."""
+    pressure: Scalar
+    """Mean pressure in the contact [MPa]."""
+    contact_area: Scalar
+    """Area in contact, averaged over time [mm^2]."""
+    effective_diameter: Scalar
+    """Width that the disc wipes on a flat, D_eff [mm]."""
+    envelope: Scalar
+    """Width of the strip polished by one trochoid, E [mm]."""
+    time: Scalar
+    """Duration of all passes [s]."""
+    feed: Scalar
+    """Speed of the contact point that is reached on average over the path [mm/s]."""
+    path_length: Scalar
+    """Length of the contact path, all passes [mm]."""
+    mean_removal: Scalar
+    """Depth removed, averaged over the part [mm]."""
+    removal: Float[Array, "ny nx"]
+    """Depth removed, averaged over the loops' phase, `[y, x]` [mm]."""
+    spread: Scalar
+    """Standard deviation of `removal` over the part, over its mean [-]."""
+    ripple: Scalar
+    """Rms of the removal's ripple along the guide, over the mean removal [-]."""
+    body_clearance: Scalar
+    """Displacement left before the rigid body touches [mm]."""
+    unstick_margin: Scalar
+    """Force left before the disc comes unstuck [N]."""
+    shear_margin: Scalar
+    """Shear stress left before the adhesive fails [MPa]."""
+    Sa: Scalar
+    """Mean absolute height of the finished texture, estimated from the others [mm]."""
+    Sq: Scalar
+    """Root mean square height [mm]."""
+    Ssk: Scalar
+    """Skewness [-]."""
+    Sku: Scalar
+    """Kurtosis [-]."""
+    parts: tuple[Cumulants, ...]
+    """Cumulants of what is left of the start map, of earlier scratches, of this step's
+    scratches, and of the ripple [mm^2, mm^3, mm^4]."""
+
+
+class Loops(eqx.Module):
+    """The process at stations along the guide (k), and phases of the loop there (j)."""
+
+    dwell: Float[Array, "k j"]
+    """Time that a station and phase stand for, one pass [s]."""
+    pace: Float[Array, "k j"]
+    """Time per length of guide [s/mm]."""
+    length: Float[Array, "k j"]
+    """Contact path that a station and phase stand for, one pass [mm]."""
+    weight: Float[Array, " k"]
+    """Length of guide that a station stands for [mm]."""
+    xy: Float[Array, "k j 2"]
+    """Contact point in the parameter plane [mm]."""
+    velocity: Float[Array, "k j 2"]
+    """Velocity of the contact point along (feed, left) [mm/s]."""
+    frame: Float[Array, "k j 2 2"]
+    """Takes offsets along (feed, left) to the parameter plane [-]."""
+    curvature: Float[Array, "k j 2 2"]
+    """Normal curvature of the part along (feed, left) [1/mm]."""
+
+
+def loops(process: Process, setup: Setup) -> Loops:
+    r"""Postures, true feed and dwell of the process at all stations and phases.
+
+    The axes move with the derivative $\partial_s + (2\pi/p)\,\partial_\varphi$ along the
+    path, and the feed follows from it loop by loop.
+
+    Args:
+        process: The settings.
+        setup: The job.
+    """
+    s, weight = setup.guide.stations(setup.sampling.stations)
+    count = setup.sampling.phases
+    phases = jnp.asarray(2 * np.pi * np.arange(count) / count, dtype=s.dtype)
+    limits = Limits.of(setup.machine)
+    spacing = process.step / count
+    surface, lean = setup.surface, setup.lean
+
+    def at(s, phase):
+        def move(t):
+            place = posture(
+                surface,
+                setup.guide(s + t),
+                phase + 2 * jnp.pi * t / process.step,
+                process,
+                setup.tool.radius,
+                setup.pulling,
+                lean,
+            )
+            axes = inverse(place.tip, place.axis, setup.machine)
+            return (place.contact, axes), place
+
+        def moving(t):
+            (contact, axes), (dcontact, daxes), place = jax.jvp(
+                move, (t,), (jnp.ones_like(t),), has_aux=True
+            )
+            return (dcontact, daxes), place
+
+        zero = jnp.zeros_like(s)
+        (dcontact, daxes), (_, ddaxes), place = jax.jvp(
+            moving, (zero,), (jnp.ones_like(zero),), has_aux=True
+        )
+        return place, dcontact, daxes, ddaxes
+
+    def station(s, weight):
+        place, tangent, dq, ddq = jax.vmap(at, in_axes=(None, 0))(s, phases)
+        f, b = place.feed_direction, place.side
+        rate = jnp.sqrt(jnp.sum(tangent**2, axis=1))
+        speed = loop_rate(dq, ddq, rate, spacing, process.feed, limits)
+        along = jnp.stack([jnp.sum(tangent * f, axis=1), jnp.sum(tangent * b, axis=1)], -1)
+        return Loops(
+            dwell=weight / count / speed,
+            pace=1 / speed,
+            length=weight / count * rate,
+            weight=weight,
+            xy=place.xy,
+            velocity=along * speed[:, None],
+            frame=jax.vmap(lambda *at: tangent_to_parameter(surface, *at))(place.xy, f, b),
+            curvature=jax.vmap(lambda *at: curvature(surface, *at))(place.xy, f, b),
+        )
+
+    return jax.vmap(station)(s, weight)
+
+
+def contacts(process: Process, setup: Setup, path: Loops) -> Patch:
+    """The contact patches at all stations and phases, with leading axes [k, j]."""
+    sampling = setup.sampling
+
+    def at(bend):
+        lean, panels = setup.side, setup.panels
+        return patch(
+            process, setup.tool, bend, lean, sampling.rows, sampling.columns, panels
+        )
+
+    if not setup.flat:
+        return jax.vmap(jax.vmap(at))(path.curvature)
+    # one patch for all
+    one, shape = at(jnp.zeros_like(path.curvature[0, 0])), path.dwell.shape
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, (*shape, *x.shape)), one)
+
+
+def polish(process: Process, setup: Setup) -> Outcome:
+    """What one polishing step does: force, time, removal and the finished texture.
+
+    Pure and differentiable in everything physical; `jit` and `vmap` it as you like. What
+    is not used of the outcome costs nothing under `jit`: the removal map most of all.
+
+    Args:
+        process: Tilt, displacement, step, trochoid radius, feed, spindle speed, passes.
+        setup: The job: part, guide, tool, abrasive, machine, start texture, sampling.
+
+    Returns:
+        The outcome. Its gradients are finite everywhere, also where the disc does not
+        touch (no removal, and the start texture stays) or touches as a whole.
+
+    Source: S0 (Pessoles & Tournier 2009) for the process; the texture model is our own.
+    """
+    path = loops(process, setup)
+    footing = contacts(process, setup, path)
+    share = path.dwell / jnp.sum(path.dwell)
+    forces = jnp.sum(footing.pressure * footing.area, axis=(2, 3))
+    areas = jnp.sum(jnp.where(footing.pressure > 0, footing.area, 0.0), axis=(2, 3))
+    force, area = jnp.sum(share * forces), jnp.sum(share * areas)
+    touching = area > 0
+    pressure = jnp.where(touching, force / jnp.where(touching, area, 1.0), 0.0)
+
+    preston = setup.abrasive.preston
+
+    def remove(footing, velocity):
+        return preston_rates(
+            footing, preston, process.tilt, process.spin, velocity, setup.side
+        )
+
+    rates = jax.vmap(jax.vmap(remove))(footing, path.velocity)
+    volumes = process.passes * path.dwell[..., None, None] * rates
+    moved = jnp.einsum("kjab,kjrcb->kjrca", path.frame, footing.offsets)
+    points = (moved + path.xy[:, :, None, None, :]).reshape(-1, 2)
+    volumes, grid = volumes.reshape(-1), setup.grid
+
+    ny, nx = grid.shape
+    pixels = jnp.stack(jnp.meshgrid(grid.x, grid.y), axis=-1).reshape(-1, 2)
+    stretch = jax.vmap(lambda xy: area_stretch(setup.surface, xy))(pixels).reshape(ny, nx)
+    part_area = jnp.sum(stretch) * grid.pixel_area
+    mean_removal = jnp.sum(volumes * fraction_inside(points, grid)) / part_area
+    removal = deposit(points, volumes, grid) / stretch
+    variance = (
+        jnp.sum(stretch * (removal - mean_removal) ** 2) * grid.pixel_area / part_area
+    )
+    spread = _ratio(variance, mean_removal)
+
+    waves = _ripple(process, setup, path)
+    density = setup.guide.length / part_area
+    passed = 1 - gaussian_transmission(waves.wavelengths, setup.roughness_cutoff)
+    bare, _ = waves.moments(density)
+    second, fourth = waves.moments(density, passed)
+    rippled = Cumulants(second, jnp.zeros_like(second), fourth)
+
+    parts = (*evolved(setup, pressure, mean_removal), rippled)
+    texture: Texture = combine(*parts)
+    force_max = jnp.max(forces)
+    time = process.passes * jnp.sum(path.dwell)
+    length = process.passes * jnp.sum(path.length)
+    return Outcome(
+        force=force,
+        force_max=force_max,
+        pressure=pressure,
+        contact_area=area,
+        effective_diameter=effective_diameter(
+            setup.tool.radius, process.tilt, process.displacement
+        ),
+        envelope=envelope(setup.tool.radius, process),
+        time=time,
+        feed=length / time,
+        path_length=length,
+        mean_removal=mean_removal,
+        removal=removal,
+        spread=spread,
+        ripple=_ratio(bare, mean_removal),
+        body_clearance=body_clearance(process, setup.tool),
+        unstick_margin=unstick_force(process.tilt, setup.tool) - force_max,
+        shear_margin=shear_margin(process, setup.tool),
+        Sa=texture.Sa,
+        Sq=texture.Sq,
+        Ssk=texture.Ssk,
+        Sku=texture.Sku,
+        parts=parts,
+    )
+
+
+def evolved(
+    setup: Setup, pressure: Scalar, removal: Scalar
+) -> tuple[Cumulants, Cumulants, Cumulants]:
+    """Cumulants of what a step leaves: start map, earlier scratches, its own scratches.
+
+    Args:
+        setup: Abrasive, start texture and roughness filter are read.
+        pressure: Mean contact pressure [MPa].
+        removal: Mean height removed [mm].
+    """
+    rate = decay_rate(setup.abrasive, pressure)
+    earlier = decay(setup.start.scratches, removal, rate)
+    own = groove_cumulants(setup.abrasive, pressure, removal)
+    zero = jnp.zeros_like(removal)
+    rest = Cumulants(zero, zero, zero)
+    if setup.start.heights is not None:
+        spacing = setup.start.spacing
+        left = planarise(
+            setup.start.heights,
+            removal,
+            pressure,
+            asperity_stiffness(setup.abrasive),
+            setup.abrasive.conformity,
+            spacing,
+            setup.sampling.planarisation,
+        )
+        waves = wavelengths(left, spacing)
+        rest = cumulants(
+            transmit(left, 1 - gaussian_transmission(waves, setup.roughness_cutoff))
+        )
+    return rest, earlier, own
+
+
+def _ripple(process: Process, setup: Setup, path: Loops):
+    """Ripple of the removal, from the mean curvature and the mean loop of the path."""
+    share = path.weight / jnp.sum(path.weight)
+    bend = jnp.einsum("k,kjab->ab", share, path.curvature) / path.curvature.shape[1]
+    lean, panels = setup.side, setup.panels
+    footing = patch(
+        process, setup.tool, bend, lean, RIPPLE_ROWS, RIPPLE_COLUMNS // panels, panels
+    )
+    still = jnp.zeros_like(path.xy[0, 0])
+    rates = preston_rates(
+        footing, setup.abrasive.preston, process.tilt, process.spin, still, lean
+    )
+    # the loop's pace is smooth in its phase: its few harmonics are known at all phases
+    pace = jnp.einsum("k,kj->j", share, path.pace)
+    few = jnp.fft.rfft(pace) * (RIPPLE_PHASES / pace.shape[0])
+    dense = jnp.fft.irfft(few, RIPPLE_PHASES)
+    return ripple(
+        footing.offsets,
+        process.passes * rates,
+        dense,
+        process.step,
+        process.trochoid_radius,
+        setup.tool.radius,
+    )
+
+
+def _ratio(variance: Scalar, mean: Scalar) -> Scalar:
+    """Standard deviation over mean; 0, with a gradient of 0, where either vanishes."""
+    some = (variance > 0) & (mean > 0)
+    root = jnp.sqrt(jnp.where(some, variance, 1.0)) / jnp.where(some, mean, 1.0)
+    return jnp.where(some, root, 0.0)

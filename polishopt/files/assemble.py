@@ -1,0 +1,183 @@
+"""Assemble: a checked config as the pytrees of the process model.
+
+The one place where both sides meet: everything in `files` before it knows no JAX, and
+nothing behind it knows a file.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .. import setup as jobs
+from ..optimize.tune import Goal, Limits
+from ..parts import AXES, Abrasive, Machine, Process, Tool, as_scalar
+from ..path.guide import hilbert, lines
+from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
+from ..texture.areal import Cumulants
+from ..texture.milling import MilledSurface, milled_map
+from ..texture.scratches import Scratches, groove_cumulants
+from .config import Config
+from .quantity import Tuned, internal
+
+
+# An earlier grade has polished for so long that its scratches are steady: removal in
+# units of its grains' diameter, far beyond the depth over which a scratch fades.
+LONG_AGO = 100.0
+# Points of a milled map along each side; periods of the milling marks that it holds.
+MILLED_PIXELS = 64
+
+
+class Job(eqx.Module):
+    """A config, ready for `polish` and `tune`."""
+
+    setup: jobs.Setup
+    """What is given."""
+    process: Process
+    """The process at the start of the search."""
+    between: dict[str, tuple[float, float]] = eqx.field(static=True)
+    """Bounds of what is tuned, by its name in `Process` [mm, s, rad]."""
+    target: dict[str, Goal]
+    """What to reach [mm or -]."""
+    limits: Limits
+    """What to keep."""
+
+
+def job(config: Config) -> Job:
+    """The job that a config describes.
+
+    Args:
+        config: A checked config.
+    """
+    size = jnp.asarray(config.part.size_mm, dtype=float)
+    settings = internal(config.process)
+    first = {k: v.start if isinstance(v, Tuned) else v for k, v in settings.items()}
+    between = {k: v.between for k, v in settings.items() if isinstance(v, Tuned)}
+    goals = {k: v for k, v in internal(config.target).items() if v is not None}
+    made = jobs.Setup(
+        surface=surface(config, size),
+        size=size,
+        guide=guide(config),
+        tool=tool(config),
+        abrasive=abrasive(config.abrasive),
+        machine=machine(config),
+        start=start(config),
+        roughness_cutoff=internal(config.texture)["l_filter"],
+        pulling=config.guide.mode == "pulling",
+        lean=config.guide.lean,
+        sampling=sampling(config),
+    )
+    return Job(
+        setup=made,
+        process=Process(**first),
+        between=between,
+        target={k: Goal(v.value, v.tolerance) for k, v in goals.items()},
+        limits=limits(config),
+    )
+
+
+def surface(config: Config, size):
+    """The part's surface."""
+    given = internal(config.part)
+    kind = given.pop("surface")
+    given["size"] = size
+    kinds = {
+        "plane": Plane,
+        "sphere_cap": SphereCap,
+        "hyperbolic_paraboloid": HyperbolicParaboloid,
+    }
+    return kinds[kind](**given)
+
+
+def guide(config: Config):
+    """The guide curve."""
+    asked = config.guide
+    fillet = 0.5 if asked.corner == "sharp" else asked.fillet
+    if asked.family == "hilbert":
+        return hilbert(asked.order, config.part.size_mm, asked.corner, fillet)
+    return lines(asked.count, config.part.size_mm, asked.corner, fillet)
+
+
+def tool(config: Config) -> Tool:
+    """The disc; one without an unstick table gets one that never holds it back."""
+    given = internal(config.tool)
+    table = given["unstick"] and internal(given["unstick"])
+    shear = given["shear_strength"]
+    return Tool(
+        radius=given["diameter"] / 2,
+        foundation=given["foundation"],
+        body_radius=given["body_radius"],
+        body_recess=given["body_recess"],
+        unstick_tilts=table["tilt"] if table else [0.0],
+        unstick_forces=table["force"] if table else [jnp.inf],
+        friction=given["friction"],
+        shear_strength=jnp.inf if shear is None else shear,
+    )
+
+
+def abrasive(section) -> Abrasive:
+    """The abrasive of a config section."""
+    given = internal(section)
+    del given["preset"]
+    if given["asperity_stiffness"] is None:
+        del given["asperity_stiffness"]
+    return Abrasive(**given)
+
+
+def machine(config: Config) -> Machine:
+    """The machine."""
+    given = internal(config.machine)
+    axes = [internal(getattr(config.machine.axes, name)) for name in AXES]
+    return Machine(
+        max_speed=[axis["speed"] for axis in axes],
+        max_acceleration=[axis["acceleration"] for axis in axes],
+        max_jerk=[axis["jerk"] for axis in axes],
+        tilt_pivot=given["tilt_pivot"],
+        turn_pivot=given["turn_pivot"],
+    )
+
+
+def start(config: Config) -> jobs.Start:
+    """The texture before the step."""
+    asked = config.start
+    zero = as_scalar(0.0)
+    scratches = Cumulants(zero, zero, zero)
+    if asked.scratches is not None:
+        grade = abrasive(asked.scratches.abrasive)
+        pressure = as_scalar(internal(asked.scratches)["pressure"])
+        scratches: Scratches = groove_cumulants(grade, pressure, LONG_AGO * grade.grain)
+    elif asked.roughness is not None:
+        rough = internal(asked.roughness)
+        square = as_scalar(rough["Sq"]) ** 2
+        scratches = Cumulants(
+            square, rough["Ssk"] * square**1.5, (rough["Sku"] - 3.0) * square**2
+        )
+    if asked.milled is None:
+        return jobs.Start(scratches=scratches)
+    shape = (MILLED_PIXELS, MILLED_PIXELS)
+    heights, spacing = milled_map(MilledSurface(**internal(asked.milled)), shape)
+    return jobs.Start(scratches=scratches, heights=heights, spacing=spacing)
+
+
+def limits(config: Config) -> Limits:
+    """The limits; the tool's own hold only where the tool knows them."""
+    given = internal(config.limits)
+    numbers = ("time", "force", "least_removal", "most_removal", "spread")
+    held = {k: None if given[k] is None else as_scalar(given[k]) for k in numbers}
+    return Limits(
+        **held,
+        unstick=config.limits.unstick and config.tool.unstick is not None,
+        shear=config.limits.unstick and config.tool.shear_strength_MPa is not None,
+        rigid_body=config.limits.rigid_body,
+    )
+
+
+def sampling(config: Config) -> jobs.Sampling:
+    """How finely averages are taken."""
+    asked = config.sampling
+    return jobs.Sampling(
+        stations=asked.stations_per_cell,
+        phases=asked.phases,
+        rows=asked.rows,
+        columns=asked.columns,
+        pixels=(asked.grid, asked.grid),
+        planarisation=asked.planarisation,
+    )

@@ -1,0 +1,102 @@
+"""Setup: one polishing job, as far as it is given rather than tuned.
+
+It binds the nouns of `parts` to the surface and guide of the path chapter, adds the
+texture that the step starts from, and says how finely the averages are sampled.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .contact.removal import Grid
+from .parts import Abrasive, Machine, Scalar, Tool, as_scalar
+from .path.guide import Guide
+from .path.surface import Plane
+from .texture.areal import Cumulants
+from .texture.scratches import Scratches
+
+
+def _no_scratches() -> Scratches:
+    zero = as_scalar(0.0)
+    return Cumulants(zero, zero, zero)
+
+
+class Start(eqx.Module):
+    """The texture that the step begins with: a height map, scratches, or both."""
+
+    scratches: Scratches = eqx.field(default_factory=_no_scratches)
+    """What earlier grades left, as cumulants [mm^2, mm^3, mm^4]."""
+    heights: Float[Array, "ny nx"] | None = None
+    """A periodic height map, such as a milled surface; None for none [mm]."""
+    spacing: Float[Array, "2"] | None = None
+    """Distance of its points along y and x [mm]."""
+
+
+class Sampling(eqx.Module):
+    """How finely the averages over path and contact are taken; all static."""
+
+    stations: int = eqx.field(static=True, default=3)
+    """Nodes along each cell of the guide."""
+    phases: int = eqx.field(static=True, default=12)
+    """Phases of the loop at each of them."""
+    rows: int = eqx.field(static=True, default=3)
+    """Rows of the contact patch on either side of the feed."""
+    columns: int = eqx.field(static=True, default=2)
+    """Nodes along each of these rows."""
+    pixels: tuple[int, int] = eqx.field(static=True, default=(32, 32))
+    """Pixels of the removal map along y and x."""
+    planarisation: int = eqx.field(static=True, default=16)
+    """Steps in which the pad law is integrated."""
+
+
+# for pictures and checks
+FINE = Sampling(stations=4, phases=32, rows=6, columns=5, pixels=(96, 96))
+
+
+class Setup(eqx.Module):
+    """What a polishing step is given."""
+
+    surface: Callable[[Float[Array, "2"]], Float[Array, "3"]]
+    """The part, a map from the parameter plane into space (see `path.surface`)."""
+    size: Float[Array, "2"]
+    """Sides of the parameter plane along x and y [mm]."""
+    guide: Guide
+    """The curve that the trochoid is laid on."""
+    tool: Tool
+    """The disc."""
+    abrasive: Abrasive
+    """Its grains, and the pad behind them, on this work material."""
+    machine: Machine
+    """The axes that carry it."""
+    start: Start = eqx.field(default_factory=Start)
+    """The texture before the step."""
+    roughness_cutoff: Scalar = eqx.field(converter=as_scalar, default=jnp.inf)
+    """Cut-off of the L-filter through which texture is seen [mm]; infinite for none."""
+    pulling: bool = eqx.field(static=True, default=True)
+    """Whether the axis leans towards the feed or away from it."""
+    lean: str = eqx.field(static=True, default="guide")
+    """Whether it leans along the guide or along a fixed direction."""
+    sampling: Sampling = eqx.field(default_factory=Sampling)
+    """How finely averages are taken."""
+
+    @property
+    def side(self) -> float:
+        """+1 where the axis leans towards the feed, -1 where it leans away."""
+        return 1.0 if self.pulling else -1.0
+
+    @property
+    def flat(self) -> bool:
+        """Whether the part is known to be a plane, so that one contact is as any other."""
+        return isinstance(self.surface, Plane)
+
+    @property
+    def panels(self) -> int:
+        """Pieces into which a row of the contact patch may fall: see `pressure.patch`."""
+        return 1 if self.flat else 2
+
+    @property
+    def grid(self) -> Grid:
+        """The pixels of the removal map."""
+        return Grid(jnp.zeros_like(self.size), self.size, self.sampling.pixels)
