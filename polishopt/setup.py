@@ -37,7 +37,7 @@ class Start(eqx.Module):
 class Sampling(eqx.Module):
     """How finely the averages over path and contact are taken; all static."""
 
-    stations: int = eqx.field(static=True, default=3)
+    stations: int = eqx.field(static=True, default=2)
     """Nodes along each cell of the guide."""
     phases: int = eqx.field(static=True, default=12)
     """Phases of the loop at each of them."""

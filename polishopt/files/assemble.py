@@ -19,6 +19,8 @@ from .config import Config
 from .quantity import Tuned, internal
 
 
+# Settings whose key in a config is not their name in `Process` and a unit.
+NAMES = {"spindle": "spin"}
 # An earlier grade has polished for so long that its scratches are steady: removal in
 # units of its grains' diameter, far beyond the depth over which a scratch fades.
 LONG_AGO = 100.0
@@ -48,7 +50,7 @@ def job(config: Config) -> Job:
         config: A checked config.
     """
     size = jnp.asarray(config.part.size_mm, dtype=float)
-    settings = internal(config.process)
+    settings = {NAMES.get(k, k): v for k, v in internal(config.process).items()}
     first = {k: v.start if isinstance(v, Tuned) else v for k, v in settings.items()}
     between = {k: v.between for k, v in settings.items() if isinstance(v, Tuned)}
     goals = {k: v for k, v in internal(config.target).items() if v is not None}

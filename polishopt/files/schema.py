@@ -42,7 +42,7 @@ class Solver(Section):
 class Sampling(Section):
     """How finely the physics is sampled; for experts, to trade time for accuracy."""
 
-    stations_per_cell: Annotated[int, Between("[1, 256]")] = 3
+    stations_per_cell: Annotated[int, Between("[1, 256]")] = 2
     """Nodes along each cell of the guide curve."""
     phases: Annotated[int, Between("[4, 1024]")] = 12
     """Phases of the trochoid's loop at each of them."""

@@ -1,0 +1,141 @@
+"""Certificate: where a constrained solve ended, and what proves it.
+
+A point alone convinces nobody. With it come the multipliers, in the user's units, and the
+two numbers that say how well it satisfies the conditions of Karush, Kuhn and Tucker: `kkt`
+for stationarity and complementarity, `violation` for feasibility.
+"""
+
+import enum
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int, PyTree
+
+from ..parts import Scalar
+from .box import BoxState
+from .penalty import Duals, Problem
+
+
+class Status(enum.IntEnum):
+    """How a solve ended."""
+
+    SOLVED = 0
+    INFEASIBLE = 1
+    WORK_LIMIT = 2
+    NOT_A_NUMBER = 3
+
+
+SENTENCES = {
+    Status.SOLVED: "Solved: stationary and feasible within the tolerance.",
+    Status.INFEASIBLE: "No feasible point near: the violation is least here, and not zero.",
+    Status.WORK_LIMIT: "Stopped at the limit on work, before the tolerance was met.",
+    Status.NOT_A_NUMBER: "Stopped where the problem's functions are not a number.",
+}
+
+
+def sentence(status: int | Int[Array, ""]) -> str:
+    """What a status code means, for people; not for use under `jit`."""
+    return SENTENCES[Status(int(status))]
+
+
+class Solution(eqx.Module):
+    r"""Where a solve ended, and what proves it.
+
+    Multipliers belong to the unscaled constraints and the objective $\tfrac12 |r|^2$:
+    $\lambda_i$ is how much the objective falls per unit that limit $i$ is relaxed.
+    """
+
+    x: PyTree
+    """The unknowns, a pytree like the start [its units]."""
+    residual: PyTree
+    """Residuals at x [-]."""
+    inequality: PyTree
+    """Inequalities at x, at most 0 where they hold [their units]; None if none."""
+    equality: PyTree
+    """Equalities at x [their units]; None if none."""
+    inequality_multipliers: PyTree
+    """At least 0 [1 / units of the inequality]. Where the problem is infeasible: the
+    weight of each constraint in the conflict."""
+    equality_multipliers: PyTree
+    """Positive if the objective falls as the equality rises [1 / units of the equality]."""
+    bound_multipliers: PyTree
+    """Negative at a lower bound, positive at an upper one, 0 inside [1 / units of x]."""
+    kkt: Scalar
+    """Largest entry of the projected gradient of the Lagrangian, per width of the box, and
+    of min(multiplier, slack) of the scaled inequalities [-]. Where the problem is
+    infeasible: of half the sum of squared scaled violations, without the objective."""
+    violation: Scalar
+    """Largest violation [units of the constraint]."""
+    scaled_violation: Scalar
+    """Largest violation of the scaled constraints [widths of the box]."""
+    objective: Scalar
+    """Half the sum of squared residuals [-]."""
+    active: PyTree
+    """Which inequalities hold with equality, or do not hold [bool]."""
+    outer_steps: Int[Array, ""]
+    """Changes of the multipliers."""
+    inner_steps: Int[Array, ""]
+    """Trial points after the start."""
+    evaluations: Int[Array, ""]
+    """Points at which the functions were evaluated, the start included."""
+    status: Int[Array, ""]
+    """A `Status`; `sentence` says it in words."""
+
+
+def certify(
+    problem: Problem,
+    x: PyTree,
+    state: BoxState,
+    duals: Duals,
+    pulls: Float[Array, " m"],
+    goal: float,
+    counts: tuple[Int[Array, ""], Int[Array, ""], Int[Array, ""]],
+    status: Int[Array, ""],
+) -> Solution:
+    """The solution in the user's units and structures, without another evaluation.
+
+    Args:
+        problem: How the values lie in flat vectors, and the box.
+        x: The last point.
+        state: Values and Jacobian there.
+        duals: Scales of the constraints, and multipliers.
+        pulls: Multipliers of the values, in their units.
+        goal: Tolerance, which says what counts as active.
+        counts: Outer steps, inner steps and evaluations.
+        status: A `Status`.
+
+    Returns:
+        The solution with its certificate.
+    """
+    plain, constraints, hinged = problem.split(state.values)
+    scale, width, point = duals.scale, problem.width, ravel_pytree(x)[0]
+    multipliers = pulls[problem.residuals :]
+    gradient = state.jacobian.T @ pulls
+    held = (point <= problem.lower) & (gradient > 0)
+    held = held | ((point >= problem.upper) & (gradient < 0))
+    slack = jnp.where(hinged, jnp.minimum(multipliers * scale, -constraints / scale), 0.0)
+    breach = jnp.abs(problem.breach(state.values, duals))
+    touching = jnp.where(constraints / scale >= -10 * goal, 1.0, 0.0)
+    residual, inequality, equality = problem.sort(state.values)
+    _, inequality_multipliers, equality_multipliers = problem.sort(pulls)
+    _, touched, _ = problem.sort(jnp.concatenate([plain, touching]))
+    return Solution(
+        x=x,
+        residual=residual,
+        inequality=inequality,
+        equality=equality,
+        inequality_multipliers=inequality_multipliers,
+        equality_multipliers=equality_multipliers,
+        bound_multipliers=problem.place(jnp.where(held, -gradient / width, 0.0)),
+        kkt=jnp.maximum(problem.descent(x, gradient), jnp.max(slack, initial=0.0)),
+        violation=jnp.max(breach * scale, initial=0.0),
+        scaled_violation=jnp.max(breach, initial=0.0),
+        objective=0.5 * jnp.sum(plain**2),
+        active=jax.tree.map(lambda leaf: leaf > 0, touched),
+        outer_steps=counts[0],
+        inner_steps=counts[1],
+        evaluations=counts[2],
+        status=status,
+    )
