@@ -102,13 +102,11 @@ def slsqp(case):
     if case.inequality is not None:
         constraints.append({"type": "ineq", **host(case.inequality, -1.0)})
     start = np.array(case.start)
+    low, high = (np.broadcast_to(b, start.shape) for b in (case.lower, case.upper))
     answer = scipy.optimize.minimize(
         x0=start,
         **host(lambda x: 0.5 * jnp.sum(case.residual(x) ** 2)),
-        bounds=scipy.optimize.Bounds(
-            np.broadcast_to(case.lower, start.shape),
-            np.broadcast_to(case.upper, start.shape),
-        ),
+        bounds=list(zip(low, high, strict=True)),
         constraints=constraints,
         method="SLSQP",
         options={"ftol": 1e-14, "maxiter": 500},

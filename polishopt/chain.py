@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .contact.pressure import (
-    Patch,
     body_clearance,
     effective_diameter,
     envelope,
@@ -24,7 +23,7 @@ from .contact.pressure import (
     unstick_force,
 )
 from .contact.removal import deposit, fraction_inside, preston_rates
-from .contact.ripple import ripple
+from .contact.ripple import Ripple, ripple
 from .machine.feed import Limits
 from .machine.kinematics import inverse
 from .machine.loop import loop_rate
@@ -44,6 +43,9 @@ from .texture.planarisation import asperity_stiffness, planarise
 from .texture.scratches import decay, decay_rate, groove_cumulants
 
 
+# Stations are worked off a few at a time: a batch that stays in the processor's cache is
+# several times faster than all of them at once, most of all when differentiated.
+STATIONS_AT_ONCE = 16
 # The ripple's transform asks more of the contact patch than its integrals do.
 RIPPLE_ROWS, RIPPLE_COLUMNS, RIPPLE_PHASES = 16, 96, 256
 
@@ -96,29 +98,33 @@ class Outcome(eqx.Module):
     scratches, and of the ripple [mm^2, mm^3, mm^4]."""
 
 
-class Loops(eqx.Module):
+class Stations(eqx.Module):
     """The process at stations along the guide (k), and phases of the loop there (j)."""
 
-    dwell: Float[Array, "k j"]
-    """Time that a station and phase stand for, one pass [s]."""
-    pace: Float[Array, "k j"]
-    """Time per length of guide [s/mm]."""
-    length: Float[Array, "k j"]
-    """Contact path that a station and phase stand for, one pass [mm]."""
     weight: Float[Array, " k"]
     """Length of guide that a station stands for [mm]."""
-    xy: Float[Array, "k j 2"]
-    """Contact point in the parameter plane [mm]."""
-    velocity: Float[Array, "k j 2"]
-    """Velocity of the contact point along (feed, left) [mm/s]."""
-    frame: Float[Array, "k j 2 2"]
-    """Takes offsets along (feed, left) to the parameter plane [-]."""
-    curvature: Float[Array, "k j 2 2"]
-    """Normal curvature of the part along (feed, left) [1/mm]."""
+    pace: Float[Array, "k j"]
+    """Time per length of guide [s/mm]."""
+    dwell: Float[Array, "k j"]
+    """Time that a station and phase stand for, one pass [s]."""
+    length: Float[Array, "k j"]
+    """Contact path that they stand for, one pass [mm]."""
+    curvature: Float[Array, "k 2 2"]
+    """Normal curvature of the part along (feed, left), averaged over the loop [1/mm]."""
+    force: Float[Array, "k j"]
+    """Force normal to the part [N]."""
+    area: Float[Array, "k j"]
+    """Area in contact [mm^2]."""
+    kept: Float[Array, " k"]
+    """Volume that a station's loop removes from the part, one pass [mm^3]."""
+    points: Float[Array, "k n 2"]
+    """Where each node of its contact patches removes, in the parameter plane [mm]."""
+    volumes: Float[Array, "k n"]
+    """How much it removes there, one pass [mm^3]."""
 
 
-def loops(process: Process, setup: Setup) -> Loops:
-    r"""Postures, true feed and dwell of the process at all stations and phases.
+def along(process: Process, setup: Setup) -> Stations:
+    r"""Posture, true feed, contact and removal at all stations and phases.
 
     The axes move with the derivative $\partial_s + (2\pi/p)\,\partial_\varphi$ along the
     path, and the feed follows from it loop by loop.
@@ -128,11 +134,20 @@ def loops(process: Process, setup: Setup) -> Loops:
         setup: The job.
     """
     s, weight = setup.guide.stations(setup.sampling.stations)
-    count = setup.sampling.phases
+    count, side = setup.sampling.phases, setup.side
     phases = jnp.asarray(2 * np.pi * np.arange(count) / count, dtype=s.dtype)
     limits = Limits.of(setup.machine)
     spacing = process.step / count
-    surface, lean = setup.surface, setup.lean
+    surface, grid = setup.surface, setup.grid
+
+    def footing(bend):
+        sampling = setup.sampling
+        return patch(
+            process, setup.tool, bend, side, sampling.rows, sampling.columns, setup.panels
+        )
+
+    # on a plane one contact patch serves all
+    level = footing(jnp.zeros((2, 2), dtype=s.dtype)) if setup.flat else None
 
     def at(s, phase):
         def move(t):
@@ -143,13 +158,13 @@ def loops(process: Process, setup: Setup) -> Loops:
                 process,
                 setup.tool.radius,
                 setup.pulling,
-                lean,
+                setup.lean,
             )
             axes = inverse(place.tip, place.axis, setup.machine)
             return (place.contact, axes), place
 
         def moving(t):
-            (contact, axes), (dcontact, daxes), place = jax.jvp(
+            _, (dcontact, daxes), place = jax.jvp(
                 move, (t,), (jnp.ones_like(t),), has_aux=True
             )
             return (dcontact, daxes), place
@@ -160,41 +175,42 @@ def loops(process: Process, setup: Setup) -> Loops:
         )
         return place, dcontact, daxes, ddaxes
 
-    def station(s, weight):
-        place, tangent, dq, ddq = jax.vmap(at, in_axes=(None, 0))(s, phases)
+    def touch(place, tangent, speed, dwell):
         f, b = place.feed_direction, place.side
+        bend = curvature(surface, place.xy, f, b)
+        nodes = footing(bend) if level is None else level
+        velocity = speed * jnp.stack([jnp.sum(tangent * f), jnp.sum(tangent * b)])
+        rates = preston_rates(
+            nodes, setup.abrasive.preston, process.tilt, process.spin, velocity, side
+        )
+        frame = tangent_to_parameter(surface, place.xy, f, b)
+        xi, eta = nodes.offsets[..., 0], nodes.offsets[..., 1]
+        x, y = (place.xy[i] + frame[i, 0] * xi + frame[i, 1] * eta for i in (0, 1))
+        points = jnp.stack([x.reshape(-1), y.reshape(-1)], axis=-1)
+        return points, dwell * rates.reshape(-1), nodes.force, nodes.contact_area, bend
+
+    def station(given):
+        s, weight = given
+        place, tangent, dq, ddq = jax.vmap(at, in_axes=(None, 0))(s, phases)
         rate = jnp.sqrt(jnp.sum(tangent**2, axis=1))
         speed = loop_rate(dq, ddq, rate, spacing, process.feed, limits)
-        along = jnp.stack([jnp.sum(tangent * f, axis=1), jnp.sum(tangent * b, axis=1)], -1)
-        return Loops(
-            dwell=weight / count / speed,
-            pace=1 / speed,
-            length=weight / count * rate,
+        dwell = weight / count / speed
+        points, volumes, force, area, bend = jax.vmap(touch)(place, tangent, speed, dwell)
+        points, volumes = points.reshape(-1, 2), volumes.reshape(-1)
+        return Stations(
             weight=weight,
-            xy=place.xy,
-            velocity=along * speed[:, None],
-            frame=jax.vmap(lambda *at: tangent_to_parameter(surface, *at))(place.xy, f, b),
-            curvature=jax.vmap(lambda *at: curvature(surface, *at))(place.xy, f, b),
+            pace=1 / speed,
+            dwell=dwell,
+            length=weight / count * rate,
+            curvature=jnp.mean(bend, axis=0),
+            force=force,
+            area=area,
+            kept=jnp.sum(volumes * fraction_inside(points, grid)),
+            points=points,
+            volumes=volumes,
         )
 
-    return jax.vmap(station)(s, weight)
-
-
-def contacts(process: Process, setup: Setup, path: Loops) -> Patch:
-    """The contact patches at all stations and phases, with leading axes [k, j]."""
-    sampling = setup.sampling
-
-    def at(bend):
-        lean, panels = setup.side, setup.panels
-        return patch(
-            process, setup.tool, bend, lean, sampling.rows, sampling.columns, panels
-        )
-
-    if not setup.flat:
-        return jax.vmap(jax.vmap(at))(path.curvature)
-    # one patch for all
-    one, shape = at(jnp.zeros_like(path.curvature[0, 0])), path.dwell.shape
-    return jax.tree.map(lambda x: jnp.broadcast_to(x, (*shape, *x.shape)), one)
+    return jax.lax.map(station, (s, weight), batch_size=STATIONS_AT_ONCE)
 
 
 def polish(process: Process, setup: Setup) -> Outcome:
@@ -213,34 +229,21 @@ def polish(process: Process, setup: Setup) -> Outcome:
 
     Source: S0 (Pessoles & Tournier 2009) for the process; the texture model is our own.
     """
-    path = loops(process, setup)
-    footing = contacts(process, setup, path)
+    path = along(process, setup)
     share = path.dwell / jnp.sum(path.dwell)
-    forces = jnp.sum(footing.pressure * footing.area, axis=(2, 3))
-    areas = jnp.sum(jnp.where(footing.pressure > 0, footing.area, 0.0), axis=(2, 3))
-    force, area = jnp.sum(share * forces), jnp.sum(share * areas)
+    force, area = jnp.sum(share * path.force), jnp.sum(share * path.area)
     touching = area > 0
     pressure = jnp.where(touching, force / jnp.where(touching, area, 1.0), 0.0)
+    force_max = jnp.max(path.force)
 
-    preston = setup.abrasive.preston
-
-    def remove(footing, velocity):
-        return preston_rates(
-            footing, preston, process.tilt, process.spin, velocity, setup.side
-        )
-
-    rates = jax.vmap(jax.vmap(remove))(footing, path.velocity)
-    volumes = process.passes * path.dwell[..., None, None] * rates
-    moved = jnp.einsum("kjab,kjrcb->kjrca", path.frame, footing.offsets)
-    points = (moved + path.xy[:, :, None, None, :]).reshape(-1, 2)
-    volumes, grid = volumes.reshape(-1), setup.grid
-
-    ny, nx = grid.shape
+    grid = setup.grid
     pixels = jnp.stack(jnp.meshgrid(grid.x, grid.y), axis=-1).reshape(-1, 2)
-    stretch = jax.vmap(lambda xy: area_stretch(setup.surface, xy))(pixels).reshape(ny, nx)
+    stretch = jax.vmap(lambda xy: area_stretch(setup.surface, xy))(pixels)
+    stretch = stretch.reshape(grid.shape)
     part_area = jnp.sum(stretch) * grid.pixel_area
-    mean_removal = jnp.sum(volumes * fraction_inside(points, grid)) / part_area
-    removal = deposit(points, volumes, grid) / stretch
+    mean_removal = process.passes * jnp.sum(path.kept) / part_area
+    points, volumes = path.points.reshape(-1, 2), path.volumes.reshape(-1)
+    removal = process.passes * deposit(points, volumes, grid) / stretch
     variance = (
         jnp.sum(stretch * (removal - mean_removal) ** 2) * grid.pixel_area / part_area
     )
@@ -255,7 +258,6 @@ def polish(process: Process, setup: Setup) -> Outcome:
 
     parts = (*evolved(setup, pressure, mean_removal), rippled)
     texture: Texture = combine(*parts)
-    force_max = jnp.max(forces)
     time = process.passes * jnp.sum(path.dwell)
     length = process.passes * jnp.sum(path.length)
     return Outcome(
@@ -318,15 +320,15 @@ def evolved(
     return rest, earlier, own
 
 
-def _ripple(process: Process, setup: Setup, path: Loops):
+def _ripple(process: Process, setup: Setup, path: Stations) -> Ripple:
     """Ripple of the removal, from the mean curvature and the mean loop of the path."""
     share = path.weight / jnp.sum(path.weight)
-    bend = jnp.einsum("k,kjab->ab", share, path.curvature) / path.curvature.shape[1]
+    bend = jnp.einsum("k,kab->ab", share, path.curvature)
     lean, panels = setup.side, setup.panels
     footing = patch(
         process, setup.tool, bend, lean, RIPPLE_ROWS, RIPPLE_COLUMNS // panels, panels
     )
-    still = jnp.zeros_like(path.xy[0, 0])
+    still = jnp.zeros_like(bend[0])
     rates = preston_rates(
         footing, setup.abrasive.preston, process.tilt, process.spin, still, lean
     )

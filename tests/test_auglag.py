@@ -285,16 +285,17 @@ def test_infeasible_in_a_box():
 
 @pytest.mark.parametrize("name", ["HS71", "bounded Rosenbrock"])
 def test_no_evaluation_leaves_the_box(name):
-    case, seen = CASES[name], []
+    case = CASES[name]
+    record: list[np.ndarray] = []
 
     def recorded(x):
-        jax.debug.callback(lambda x: seen.append(np.asarray(x)), x)
+        jax.debug.callback(lambda x: record.append(np.asarray(x)), x)
         return case.residual(x)
 
     watched = eqx.tree_at(lambda c: c.residual, case, recorded)
     got = watched.solve()
     jax.effects_barrier()
-    seen = np.stack(seen)
+    seen = np.stack(record)
     assert len(seen) >= int(got.evaluations) > 5
     # exactly: not by one unit in the last place
     assert (seen >= np.asarray(case.lower)).all()
