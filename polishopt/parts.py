@@ -91,7 +91,7 @@ AXES = ("X", "Y", "Z", "A", "C")
 
 
 class Machine(eqx.Module):
-    """A 5-axis milling centre with the table tilting about X (A) and turning about Z (C)."""
+    """A 5-axis milling centre whose table tilts about X (A) and turns about Z (C)."""
 
     max_speed: Float[Array, "5"] = eqx.field(converter=as_array)
     """Fastest speed of X, Y, Z [mm/s], A, C [rad/s]."""

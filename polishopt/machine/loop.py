@@ -1,7 +1,7 @@
 r"""Loop: the feed in one loop of the trochoid, taken as if it were run again and again.
 
 The averaged process looks at one loop per station of the guide, with only a handful of
-phases. An exact sweep (`feed`) is no use there: between samples so far apart the
+phases. An exact sweep (`sweep`) is no use there: between samples so far apart the
 derivatives of the axes change more than a linear interpolation can follow. So the limits
 are taken sample by sample, and the share of an axis's acceleration that the bend of the
 path needs, $|q''|\dot s^2$, is set aside before the rest may serve to speed up or slow
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..parts import Scalar
-from .feed import Limits
+from .sweep import Limits
 
 
 def loop_rate(

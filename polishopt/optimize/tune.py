@@ -34,6 +34,9 @@ from .values import Values
 HIT = 1e-3
 # The search ends at a projected gradient this small, in units of tolerances.
 TOLERANCE = 1e-6
+# Rounds of multipliers, and trial points in each. All starts wait for the last one, and
+# the few that have not ended by then are lost in a corner that others avoid.
+WORK = 10
 
 
 class Goal(eqx.Module):
@@ -128,10 +131,10 @@ class Tuning(eqx.Module):
     excesses: dict[str, Scalar]
     """By how much each limit is exceeded, in its unit; negative while it holds."""
     multipliers: dict[str, Scalar]
-    """What one unit more of each limit is worth: relative gain in the secondary objective
-    where solved, fall of half the squared misses where not [1/unit]."""
+    """What one unit more of each limit is worth: fall of the secondary objective where
+    solved [s/unit or N/unit], fall of half the squared misses where not [1/unit]."""
     goal_multipliers: dict[str, Scalar]
-    """Relative change of the secondary objective per tolerance that a goal moves up."""
+    """Change of the secondary objective per tolerance that a goal moves up [s or N]."""
     bound_multipliers: dict[str, Scalar]
     """The same for the bounds: negative at a lower, positive at an upper one [1/unit]."""
     kkt: Scalar
@@ -213,7 +216,17 @@ def _search(places, lower, upper, stage: _Stage, secondary, tolerance, chain) ->
         )
 
     return jax.vmap(
-        lambda x: solve(values, None, x, lower, upper, args=stage, tolerance=tolerance)
+        lambda x: solve(
+            values,
+            None,
+            x,
+            lower,
+            upper,
+            args=stage,
+            tolerance=tolerance,
+            max_outer=10,
+            max_inner=10,
+        )
     )(places)
 
 
@@ -315,7 +328,7 @@ def tune(
         verdict = Verdict.INFEASIBLE
     at_cost = solved and final is not near
     # half the square of a cost c has the gradient c dc: divide it out again
-    share = 1.0 / jnp.where(at_cost, jnp.maximum(answer.residual[1], 1e-12), 1.0)
+    share = jnp.where(at_cost, unit / jnp.maximum(answer.residual[1], 1e-12), 1.0)
     goal_multipliers = -answer.equality_multipliers * share
     return Tuning(
         process=process,

@@ -1,0 +1,91 @@
+"""Fit: `python -m polishopt.fit config.yaml` tunes a polishing step and reports on it.
+
+Exit codes: 0 solved, 2 bad input, 3 the target cannot be met within the limits, 4 not
+converged. Results are written in the last three cases but the second, so that a failure
+can be looked at.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+from .files.config import Loaded, describe
+from .session import BAD_INPUT, arguments, folder, prepare, read
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs the command and returns its exit code."""
+    parser = arguments(
+        "python -m polishopt.fit",
+        "Tunes a polishing step so that its texture hits the target within the limits. "
+        "Exit codes: 0 solved, 2 bad input, 3 infeasible, 4 not converged.",
+    )
+    given = parser.parse_args(argv)
+    loaded = read(given.config, given.overrides)
+    if loaded is None:
+        return BAD_INPUT
+    if given.check:
+        if not given.quiet:
+            print(describe(loaded.config))
+        return 0
+    target = given.output or Path("runs") / given.config.stem
+    if not folder(target):
+        return BAD_INPUT
+    prepare(not given.no_cache)
+    try:
+        return fit(loaded, target, given.quiet)
+    except KeyboardInterrupt:
+        print("Interrupted: nothing more is written.", file=sys.stderr)
+        return 130
+
+
+def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
+    """Tunes, prints and writes everything; the exit code says how it ended.
+
+    Args:
+        loaded: The config.
+        target: Folder for the results; exists.
+        quiet: Whether to print nothing.
+    """
+    from rich.console import Console
+
+    from . import report, results
+    from .files.assemble import job as assemble
+    from .optimize.tune import tune
+
+    told, console = Console(stderr=True, quiet=quiet), Console(quiet=quiet)
+    began = time.monotonic()
+
+    def say(sentence: str) -> None:
+        told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {sentence}")
+
+    say(f"reading {loaded.path}")
+    job = assemble(loaded.config)
+    solver = loaded.config.solver
+    with told.status("searching"):
+        tuning = tune(
+            job.setup,
+            job.process,
+            job.between,
+            job.target,
+            job.limits,
+            loaded.config.secondary,
+            solver.starts,
+            solver.seed,
+            solver.tolerance,
+            progress=say,
+        )
+    with told.status("drawing"):
+        results.write(tuning, job, loaded, target, say)
+    say(f"results are in {target}")
+    report.show(console, tuning, job, loaded)
+    return int(tuning.verdict)
+
+
+def run() -> None:
+    """The console script."""
+    sys.exit(main())
+
+
+if __name__ == "__main__":
+    run()

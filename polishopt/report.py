@@ -1,0 +1,207 @@
+"""Report: an answer in words and tables, for the person at the machine.
+
+Numbers are shown in the units of the trade, with the symbols of the papers beside the
+words.
+"""
+
+from rich.console import Console
+from rich.table import Table
+
+from .files.assemble import NAMES, Job
+from .files.config import Config, Loaded
+from .files.quantity import Tuned
+from .optimize.certificate import Status
+from .optimize.tune import Tuning, Verdict
+from .units import from_internal, label, suffix
+
+
+SYMBOLS = {
+    "tilt": "θ",
+    "displacement": "e",
+    "step": "p",
+    "trochoid_radius": "D_tr",
+    "feed": "V_f",
+    "spin": "N",
+    "passes": "",
+}
+# name of a limit: unit in which it is shown
+LIMIT_UNITS = {
+    "time": "min",
+    "force": "N",
+    "least removal": "um",
+    "most removal": "um",
+    "spread": "percent",
+    "unstick force": "N",
+    "adhesive shear": "MPa",
+    "rigid body": "mm",
+}
+# outcome: unit in which it is shown, and what it is
+OUTCOME_UNITS = {
+    "Sa": ("nm", "mean height (estimate)"),
+    "Sq": ("nm", "rms height"),
+    "force": ("N", "force, mean over time"),
+    "force_max": ("N", "force, largest"),
+    "pressure": ("MPa", "mean contact pressure"),
+    "effective_diameter": ("mm", "width wiped, D_eff"),
+    "envelope": ("mm", "width of the strip, E"),
+    "time": ("min", "time"),
+    "feed": ("mm_min", "feed reached, mean"),
+    "path_length": ("mm", "contact path"),
+    "mean_removal": ("um", "removal, mean"),
+    "spread": ("percent", "removal, spread over the part"),
+    "ripple": ("percent", "removal, ripple (straight guide)"),
+}
+CLOSE = 1e-6  # a limit or bound nearer than this share of its size counts as reached
+
+
+def key_of(name: str) -> str:
+    """The key in a config, without its unit, of a setting of `Process`."""
+    return {inner: outer for outer, inner in NAMES.items()}.get(name, name)
+
+
+def answers(tuning: Tuning, config: Config) -> dict[str, float]:
+    """The tuned settings by the keys, and in the units, of the config."""
+    result = {}
+    for key in config.tuned():
+        unit = suffix(key)
+        word = key.removesuffix("_" + unit) if unit else key
+        value = getattr(tuning.process, NAMES.get(word, word))
+        result[key] = from_internal(float(value), unit)
+    return result
+
+
+def verdict(tuning: Tuning) -> str:
+    """How it ended, in a sentence that says what to do."""
+    kind = Verdict(int(tuning.verdict))
+    if kind is Verdict.SOLVED:
+        return "Solved: the target is met and all limits hold."
+    if kind is Verdict.NOT_CONVERGED:
+        return (
+            "Not converged: no search ended within its work. Try more starts "
+            "(solver.starts) or narrower bounds."
+        )
+    if float(tuning.violation) > 0 and any(
+        float(excess) > CLOSE for excess in tuning.excesses.values()
+    ):
+        broken = [name for name, over in tuning.excesses.items() if float(over) > CLOSE]
+        return f"Infeasible: these limits cannot all hold: {', '.join(broken)}."
+    ways = conflict(tuning)
+    blame = f" In the way: {', '.join(ways)}." if ways else ""
+    missed = ", ".join(
+        f"{name} by {abs(float(miss)):.3g} tolerances"
+        for name, miss in tuning.misses.items()
+    )
+    return (
+        f"Infeasible: within the limits the target cannot be met. The nearest texture "
+        f"misses {missed}.{blame}"
+    )
+
+
+def conflict(tuning: Tuning) -> list[str]:
+    """Limits and bounds that hold the texture back from the target, the heaviest first."""
+    weights = {f"the limit on {k}": float(v) for k, v in tuning.multipliers.items()}
+    for name, multiplier in tuning.bound_multipliers.items():
+        value = float(multiplier)
+        side = "upper" if value > 0 else "lower"
+        reach = abs(value) * max(abs(float(getattr(tuning.process, name))), 1e-12)
+        weights[f"the {side} bound of {name.replace('_', ' ')}"] = reach
+    found = [name for name, weight in weights.items() if abs(weight) > 1e-9]
+    return sorted(found, key=lambda name: -abs(weights[name]))
+
+
+def show(console: Console, tuning: Tuning, job: Job, loaded: Loaded) -> None:
+    """Prints the tables of an answer.
+
+    Args:
+        console: Where to.
+        tuning: The answer.
+        job: What was asked, assembled.
+        loaded: What was asked, as typed.
+    """
+    console.print(_settings(tuning, loaded.config))
+    console.print(_texture(tuning, job))
+    console.print(_limits(tuning, job))
+    console.print(_outcomes(tuning))
+    count = tuning.statuses.shape[0]
+    ended = int((tuning.statuses == Status.SOLVED).sum())
+    work = int(tuning.evaluations.sum())
+    console.print(
+        f"{ended} of {count} searches ended at a stationary point, the best from start "
+        f"{int(tuning.best) + 1}; {work} evaluations in all.\n"
+        f"Certificate: projected gradient {float(tuning.kkt):.1e}, violation "
+        f"{float(tuning.violation):.1e}."
+    )
+    console.print(verdict(tuning))
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold", box=None)
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="left" if i == 0 else "right", no_wrap=True)
+    return table
+
+
+def _settings(tuning: Tuning, config: Config) -> Table:
+    table = _table("Settings", "", "symbol", "unit", "start", "answer", "bounds", "")
+    found = answers(tuning, config)
+    for key, value in config.process:
+        unit = suffix(key)
+        word = key.removesuffix("_" + unit) if unit else key
+        symbol = SYMBOLS[NAMES.get(word, word)]
+        name = word.replace("_", " ")
+        if not isinstance(value, Tuned):
+            shown = f"{value:g}"
+            table.add_row(name, symbol, label(unit), shown, shown, "fixed", "")
+            continue
+        low, high = value.between
+        answer = found[key]
+        near = CLOSE * (high - low)
+        note = "at lower" if answer - low <= near else ""
+        note = "at upper" if high - answer <= near else note
+        bounds = f"{low:g} … {high:g}"
+        table.add_row(
+            name, symbol, label(unit), f"{value.start:g}", f"{answer:.5g}", bounds, note
+        )
+    return table
+
+
+def _texture(tuning: Tuning, job: Job) -> Table:
+    table = _table("Texture", "", "unit", "target", "reached", "miss in tolerances")
+    for name, goal in job.target.items():
+        unit = OUTCOME_UNITS.get(name, ("", ""))[0]
+        aim = from_internal(float(goal.value), unit)
+        reached = from_internal(float(getattr(tuning.outcome, name)), unit)
+        miss = f"{float(tuning.misses[name]):+.2g}"
+        table.add_row(name, label(unit), f"{aim:.4f}", f"{reached:.4f}", miss)
+    return table
+
+
+def _limits(tuning: Tuning, job: Job) -> Table:
+    table = _table("Limits", "", "unit", "left", "", "one unit more is worth")
+    solved = int(tuning.verdict) == Verdict.SOLVED
+    for name, excess in tuning.excesses.items():
+        unit = LIMIT_UNITS[name]
+        left = from_internal(-float(excess), unit)
+        multiplier = float(tuning.multipliers[name])
+        active = multiplier > 1e-9
+        gain = multiplier / from_internal(1.0, unit)
+        worth = f"{gain:.3g} s" if solved else f"{gain:.3g} of the miss"
+        table.add_row(
+            name,
+            label(unit),
+            f"{left:.4g}",
+            "active" if active else "exceeded" if left < -CLOSE else "",
+            worth if active else "",
+        )
+    return table
+
+
+def _outcomes(tuning: Tuning) -> Table:
+    table = _table("Outcome", "", "unit", "value")
+    for name, (unit, meaning) in OUTCOME_UNITS.items():
+        value = from_internal(float(getattr(tuning.outcome, name)), unit)
+        table.add_row(meaning, label(unit), f"{value:.4g}")
+    unstick = float(tuning.outcome.unstick_margin + tuning.outcome.force_max)
+    if unstick < float("inf"):
+        table.add_row("force that unsticks the disc here", "N", f"{unstick:.4g}")
+    return table

@@ -1,0 +1,88 @@
+"""Session: what every command line of polishopt does first.
+
+A wrong config must be answered before JAX is loaded, and JAX must be told to compute in
+double precision, and where to keep what it has compiled, before it makes its first array.
+"""
+
+import argparse
+import os
+import platform
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+from .files.config import ConfigError, Loaded, load
+
+
+BAD_INPUT = 2
+
+
+def arguments(program: str, what: str) -> argparse.ArgumentParser:
+    """A parser with what all commands understand.
+
+    Args:
+        program: How the command is called.
+        what: What it does, in a sentence.
+    """
+    parser = argparse.ArgumentParser(prog=program, description=what)
+    parser.add_argument("config", type=Path, help="the YAML file of the job")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="DIR", help="folder for the results"
+    )
+    parser.add_argument(
+        "--set",
+        dest="overrides",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="replace a value of the config, say process.tilt_deg=7.5; may be repeated",
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="only check the config and sum it up"
+    )
+    parser.add_argument("--quiet", action="store_true", help="say nothing but errors")
+    parser.add_argument(
+        "--no-cache", action="store_true", help="do not keep what JAX has compiled"
+    )
+    return parser
+
+
+def read(path: Path, overrides: list[str]) -> Loaded | None:
+    """The config, or None after its mistakes were told."""
+    try:
+        return load(path, overrides)
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        return None
+
+
+def folder(path: Path) -> bool:
+    """Makes a folder for results; False, after a sentence, if it cannot be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        print(f"{path}: cannot be used as a folder for results: {error}", file=sys.stderr)
+        return False
+    return True
+
+
+def prepare(cache: bool = True) -> None:
+    """Loads JAX for double precision, with its compilations kept in the user's cache.
+
+    Args:
+        cache: Whether to keep them; the environment variable POLISHOPT_CACHE may name a
+            folder for them, or say `off`.
+    """
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    place = os.environ.get("POLISHOPT_CACHE", "")
+    if not cache or place == "off":
+        return
+    # compiled programs depend on the compiler and on the processor
+    name = f"jax-{version('jaxlib')}-{platform.machine()}"
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    target = Path(place) if place else home / "polishopt"
+    jax.config.update("jax_compilation_cache_dir", str(target / name))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
