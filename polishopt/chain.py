@@ -101,25 +101,25 @@ class Outcome(eqx.Module):
 class Stations(eqx.Module):
     """The process at stations along the guide (k), and phases of the loop there (j)."""
 
-    weight: Float[Array, " k"]
+    weight: Float[Array, "*k"]
     """Length of guide that a station stands for [mm]."""
-    pace: Float[Array, "k j"]
+    pace: Float[Array, "*k j"]
     """Time per length of guide [s/mm]."""
-    dwell: Float[Array, "k j"]
+    dwell: Float[Array, "*k j"]
     """Time that a station and phase stand for, one pass [s]."""
-    length: Float[Array, "k j"]
+    length: Float[Array, "*k j"]
     """Contact path that they stand for, one pass [mm]."""
-    curvature: Float[Array, "k 2 2"]
+    curvature: Float[Array, "*k 2 2"]
     """Normal curvature of the part along (feed, left), averaged over the loop [1/mm]."""
-    force: Float[Array, "k j"]
+    force: Float[Array, "*k j"]
     """Force normal to the part [N]."""
-    area: Float[Array, "k j"]
+    area: Float[Array, "*k j"]
     """Area in contact [mm^2]."""
-    kept: Float[Array, " k"]
+    kept: Float[Array, "*k"]
     """Volume that a station's loop removes from the part, one pass [mm^3]."""
-    points: Float[Array, "k n 2"]
+    points: Float[Array, "*k n 2"]
     """Where each node of its contact patches removes, in the parameter plane [mm]."""
-    volumes: Float[Array, "k n"]
+    volumes: Float[Array, "*k n"]
     """How much it removes there, one pass [mm^3]."""
 
 

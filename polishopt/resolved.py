@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .contact.pressure import patch
-from .contact.removal import Footprint, Grid, deposit, preston_rates, superpose
+from .contact.removal import Grid, deposit, preston_rates
 from .machine.feed import TimeLaw, time_law
 from .machine.kinematics import inverse_path
 from .parts import Process, Scalar
@@ -23,6 +23,8 @@ from .setup import Setup
 
 # Samples in each loop: with 64, no axis exceeds a limit between samples by over 0.1 %.
 PER_LOOP = 64
+# Node positions that `removal` holds in memory at a time.
+NODES_AT_ONCE = 1 << 15
 
 
 class Run(eqx.Module):
@@ -74,12 +76,14 @@ def run(process: Process, setup: Setup, samples: int, phase: Scalar | float = 0.
 
 
 def removal(
-    path: Run, process: Process, setup: Setup, grid: Grid, rows: int = 8, columns: int = 6
+    path: Run,
+    process: Process,
+    setup: Setup,
+    grid: Grid,
+    rows: int = 12,
+    columns: int = 24,
 ) -> Float[Array, "ny nx"]:
     """Depth that this path removes, ripple included, all passes [mm].
-
-    On a plane one footprint serves the whole path (the few percent that the feed adds to
-    the speed are averaged over its direction); elsewhere every sample has its own.
 
     Args:
         path: From `run`.
@@ -87,47 +91,53 @@ def removal(
         setup: The job.
         grid: Pixels, no finer than the distance between the nodes of the contact patch.
         rows: Rows of the contact patch on either side of the feed.
-        columns: Nodes along each row.
+        columns: Nodes along each row; too few of them make ripple of their own.
     """
     half = 0.5 * jnp.diff(path.law.time)
     dwell = process.passes * (jnp.pad(half, (1, 0)) + jnp.pad(half, (0, 1)))
-    xy, f, b = path.posture.xy, path.posture.feed_direction, path.posture.side
-    frames = jax.vmap(lambda *at: tangent_to_parameter(setup.surface, *at))(xy, f, b)
-    side, panels = setup.side, setup.panels
+    # the path's direction, by central differences of the contact points
+    contact = path.posture.contact
+    chord = jnp.concatenate([contact[1:], contact[-1:]])
+    chord = chord - jnp.concatenate([contact[:1], contact[:-1]])
+    length = jnp.sqrt(jnp.sum(chord**2, axis=1))
+    moves = length > 0
+    direction = chord / jnp.where(moves, length, 1.0)[:, None]
+    velocity = jnp.where(moves, path.law.feed, 0.0)[:, None] * direction
+    surface, tool, side = setup.surface, setup.tool, setup.side
 
     def footing(bend):
-        nodes = patch(process, setup.tool, bend, side, rows, columns, panels)
-        still = jnp.zeros_like(bend[0])
+        return patch(process, tool, bend, side, rows, columns, setup.panels)
+
+    level = footing(jnp.zeros((2, 2), dtype=dwell.dtype)) if setup.flat else None
+
+    def touch(xy, f, b, velocity, dwell):
+        nodes = footing(curvature(surface, xy, f, b)) if level is None else level
+        slide = jnp.stack([jnp.sum(velocity * f), jnp.sum(velocity * b)])
         rates = preston_rates(
-            nodes, setup.abrasive.preston, process.tilt, process.spin, still, side
+            nodes, setup.abrasive.preston, process.tilt, process.spin, slide, side
         )
-        return nodes.offsets.reshape(-1, 2), rates.reshape(-1)
+        frame = tangent_to_parameter(surface, xy, f, b)
+        xi, eta = nodes.offsets[..., 0], nodes.offsets[..., 1]
+        x, y = (xy[i] + frame[i, 0] * xi + frame[i, 1] * eta for i in (0, 1))
+        return jnp.stack([x.reshape(-1), y.reshape(-1)], axis=-1), dwell * rates.reshape(-1)
 
-    if setup.flat:
-        footprint = Footprint(*footing(jnp.zeros_like(frames[0])))
-        depth = superpose(footprint, xy, dwell, grid, frames)
-    else:
+    def add(total, samples):
+        points, volumes = jax.vmap(touch)(*samples)
+        return total + deposit(points.reshape(-1, 2), volumes.reshape(-1), grid), None
 
-        def add(total, sample):
-            xy, f, b, frame, dwell = sample
-            offsets, rates = jax.vmap(lambda *at: footing(curvature(setup.surface, *at)))(
-                xy, f, b
-            )
-            moved = jnp.einsum("nij,nmj->nmi", frame, offsets) + xy[:, None, :]
-            volumes = (dwell[:, None] * rates).reshape(-1)
-            return total + deposit(moved.reshape(-1, 2), volumes, grid), None
+    posture = path.posture
+    given = (posture.xy, posture.feed_direction, posture.side, velocity, dwell)
+    count = max(1, NODES_AT_ONCE // (2 * rows * columns))
+    tail = -dwell.shape[0] % count
 
-        count = 256
-        pad = -xy.shape[0] % count
+    def blocks(x):
+        # the tail repeats the last sample
+        end = jnp.broadcast_to(x[-1:], (tail, *x.shape[1:]))
+        return jnp.concatenate([x, end]).reshape(-1, count, *x.shape[1:])
 
-        def blocks(x):
-            # the tail repeats the last sample, without dwelling there
-            tail = jnp.broadcast_to(x[-1:], (pad, *x.shape[1:]))
-            return jnp.concatenate([x, tail]).reshape(-1, count, *x.shape[1:])
-
-        padded = jnp.pad(dwell, (0, pad)).reshape(-1, count)
-        given = (blocks(xy), blocks(f), blocks(b), blocks(frames), padded)
-        depth, _ = jax.lax.scan(add, jnp.zeros(grid.shape, xy.dtype), given)
+    # without dwelling there
+    given = (*map(blocks, given[:-1]), jnp.pad(dwell, (0, tail)).reshape(-1, count))
+    depth, _ = jax.lax.scan(add, jnp.zeros(grid.shape, dwell.dtype), given)
     pixels = jnp.stack(jnp.meshgrid(grid.x, grid.y), axis=-1).reshape(-1, 2)
-    stretch = jax.vmap(lambda at: area_stretch(setup.surface, at))(pixels)
+    stretch = jax.vmap(lambda at: area_stretch(surface, at))(pixels)
     return depth / stretch.reshape(grid.shape)

@@ -20,7 +20,7 @@ setup chain resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.auglag optimize.tune optimize.sensitivity optimize
 files
-plots report fit sensitivity __main__
+plots report results session fit sensitivity __main__
 """
 ORDER = FLOORS.split()
 TOP = set(ORDER[ORDER.index("files") + 1 :])
@@ -119,7 +119,7 @@ def test_only_the_top_floor_prints(name):
 @pytest.mark.parametrize("name", MODULES)
 def test_global_settings_are_left_alone(name):
     """How JAX behaves is the caller's choice: only commands of their own may choose."""
-    if name in {"fit", "sensitivity"}:
+    if name in {"session", "fit", "sensitivity"}:
         return
     assert not [call for call in calls(tree_of(name)) if call.endswith("config.update")]
 

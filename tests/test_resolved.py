@@ -105,19 +105,19 @@ def test_mean_over_starting_phases_is_the_averaged_map():
     maps, want = phase_maps(100.0)
     error = maps.std(axis=0, ddof=1) / math.sqrt(len(maps))
     gap = maps.mean(axis=0) - want
-    # the maps move by 0.16 % rms, and the average by 0.15 %, with twice the samples
-    allowed = 0.0022 * want.mean()
+    # evenly spaced phases, which have no scatter, differ from the average by 0.35 % rms:
+    # with 192 samples a loop by 0.16 %, since a path starts and ends at rest, which costs
+    # it the time of a sample at each end; the rest is quadrature in the contact patch
+    allowed = 0.0035 * want.mean()
     z = np.sqrt(np.mean(gap**2) / np.mean(error**2 + allowed**2))
-    print("z", z, np.sqrt(np.mean(gap**2)) / want.mean(), error.mean() / want.mean())
     assert z < 1.3
-    assert_close(maps.mean(), want.mean(), rtol=1e-3)
+    assert_close(maps.mean(), want.mean(), rtol=2e-3)
 
 
 def test_the_feed_left_out_of_a_path_shows_in_its_map():
     """At S0's spindle speed the feed is 3 % of the rim's: it shifts the map by less."""
     maps, want = phase_maps(1.0)
     gap = np.sqrt(np.mean((maps.mean(axis=0) - want) ** 2)) / want.mean()
-    print("gap", gap)
     assert gap < 0.02
     assert_close(maps.mean(), want.mean(), rtol=2e-3)
 
@@ -134,7 +134,6 @@ def test_spread_is_smooth_in_the_step_only_where_averaged():
     def roughness(values):
         return np.abs(np.diff(values, 2)).max() / np.ptp(values)
 
-    print("roughness", roughness(smooth), roughness(rough))
     assert roughness(smooth) < 0.02
     assert roughness(rough) > 0.05
 
@@ -167,7 +166,6 @@ def test_ripple_of_a_straight_line_is_as_predicted(waves):
     # the prediction is for a whole part, on which the ends of the line are missing
     share = (setup.guide.length / (size[0] * size[1])) / (1 / size[1])
     want = out.ripple * out.mean_removal / np.sqrt(share)
-    print("ripple", 4.0 / waves, np.sqrt(square) / want)
     assert_close(np.sqrt(square), want, rtol=0.1)
 
 
@@ -189,7 +187,6 @@ def test_ripple_on_a_filleted_hilbert_guide_is_underestimated():
     rms = np.sqrt(np.mean(square(given, setup, jnp.asarray(np.arange(4) * np.pi / 2))))
     out = average(given, setup)
     ratio = rms / (out.ripple * out.mean_removal)
-    print("ratio", ratio)
     assert 1 < ratio < 3
 
 
@@ -210,7 +207,6 @@ def test_time_of_the_true_path(surface, tilt, rtol):
     given = eqx.tree_at(lambda p: p.tilt, disc().process, jnp.asarray(tilt * DEG))
     time, fastest = law_of(given, setup, samples(given, setup))
     want = average(given, setup)
-    print("time", surface, tilt, float(time / want.time))
     assert_close(time, want.time, rtol=rtol)
     assert fastest <= given.feed * (1 + 1e-9)
     assert want.time >= want.path_length / given.feed * (1 - 1e-9)

@@ -36,7 +36,7 @@ HIT = 1e-3
 TOLERANCE = 1e-6
 # Rounds of multipliers, and trial points in each. All starts wait for the last one, and
 # the few that have not ended by then are lost in a corner that others avoid.
-WORK = 10
+WORK = 8
 
 
 class Goal(eqx.Module):
