@@ -46,8 +46,9 @@ from .texture.scratches import decay, decay_rate, groove_cumulants
 # Stations are worked off a few at a time: a batch that stays in the processor's cache is
 # several times faster than all of them at once, most of all when differentiated.
 STATIONS_AT_ONCE = 16
-# The ripple's transform asks more of the contact patch than its integrals do.
-RIPPLE_ROWS, RIPPLE_COLUMNS, RIPPLE_PHASES = 16, 96, 256
+# The ripple's transform asks more of the contact patch than its integrals do: the rows
+# must resolve its wave along the bent rim, down to steps of a ninth of the disc's radius.
+RIPPLE_ROWS, RIPPLE_COLUMNS, RIPPLE_PHASES = 40, 4, 128
 
 
 class Outcome(eqx.Module):
@@ -325,9 +326,7 @@ def _ripple(process: Process, setup: Setup, path: Stations) -> Ripple:
     share = path.weight / jnp.sum(path.weight)
     bend = jnp.einsum("k,kab->ab", share, path.curvature)
     lean, panels = setup.side, setup.panels
-    footing = patch(
-        process, setup.tool, bend, lean, RIPPLE_ROWS, RIPPLE_COLUMNS // panels, panels
-    )
+    footing = patch(process, setup.tool, bend, lean, RIPPLE_ROWS, RIPPLE_COLUMNS, panels)
     still = jnp.zeros_like(bend[0])
     rates = preston_rates(
         footing, setup.abrasive.preston, process.tilt, process.spin, still, lean
@@ -343,6 +342,7 @@ def _ripple(process: Process, setup: Setup, path: Stations) -> Ripple:
         process.step,
         process.trochoid_radius,
         setup.tool.radius,
+        panels=panels,
     )
 
 

@@ -24,7 +24,7 @@ from ..parts import Scalar
 
 
 # Resolution across the strip: converged to 0.5 % in the first harmonic and 2 % in the
-# second. More waves would need more than 16 rows of nodes on each side.
+# second.
 WAVES = 16
 # Width of the periodic domain across the strip, in units of its half-width; above 2 the
 # strip does not meet its own image.
@@ -62,6 +62,50 @@ class Ripple(eqx.Module):
         return 0.5 * weight * jnp.sum(squares), -0.375 * weight * jnp.sum(squares**2)
 
 
+def _bessel(orders: int, x: Float[Array, "*n"]) -> list[Float[Array, "*n"]]:
+    """Spherical Bessel functions j_0, j_1 ... of the first few orders.
+
+    By upward recurrence, which loses at most three digits of sixteen above the switch to
+    the power series.
+    """
+    small = jnp.abs(x) < 0.5
+    far = jnp.where(small, 1.0, x)
+    up = [jnp.sin(far) / far, jnp.sin(far) / far**2 - jnp.cos(far) / far]
+    for l in range(1, orders - 1):
+        up.append((2 * l + 1) / far * up[l] - up[l - 1])
+    near = jnp.where(small, x, 0.0)
+    result, double = [], 1.0
+    for l in range(orders):
+        double *= 2 * l + 1
+        term, total = jnp.ones_like(near), jnp.ones_like(near)
+        for k in range(1, 6):
+            term = term * (-0.5 * near**2) / (k * (2 * l + 2 * k + 1))
+            total = total + term
+        result.append(jnp.where(small, near**l / double * total, up[l]))
+    return result
+
+
+def _filon(nodes: int, x: Float[Array, "*n"]) -> Array:
+    r"""Factors that make a Gauss-Legendre rule exact for a polynomial times a wave.
+
+    $\sum_q w_q F_q(x) f(t_q) = \int_{-1}^1 f(t) e^{-ixt} dt$ with
+    $F_q = \sum_l (2l + 1)(-i)^l j_l(x) P_l(t_q)$: any wave number costs the same.
+    """
+    t = np.polynomial.legendre.leggauss(nodes)[0]
+    bessel = _bessel(nodes, x)
+    real, imaginary = jnp.zeros((*x.shape, nodes)), jnp.zeros((*x.shape, nodes))
+    real, imaginary = real.astype(x.dtype), imaginary.astype(x.dtype)
+    for l in range(nodes):
+        legendre = np.polynomial.legendre.Legendre.basis(l)(t)
+        part = bessel[l][..., None] * jnp.asarray((2 * l + 1) * legendre, dtype=x.dtype)
+        sign = (1.0, -1.0, -1.0, 1.0)[l % 4]
+        if l % 2:
+            imaginary = imaginary + sign * part
+        else:
+            real = real + sign * part
+    return jax.lax.complex(real, imaginary)
+
+
 def ripple(
     offsets: Float[Array, "rows columns 2"],
     rates: Float[Array, "rows columns"],
@@ -70,12 +114,14 @@ def ripple(
     trochoid_radius: Scalar,
     reach: Scalar,
     harmonics: int = 2,
+    panels: int = 1,
 ) -> Ripple:
     """Harmonics of the removal of a trochoid on a straight guide.
 
     Args:
         offsets: Nodes of the footprint from the contact point, along and across the
-            guide; the nodes of a row share their place across [mm].
+            guide, at least two in a row; the nodes of a row share their place across and
+            are those of a Gauss-Legendre rule, as in `pressure.patch` [mm].
         rates: Volume that each node removes per time [mm^3/s].
         dwell: Time per length of guide at evenly spaced phases of the loop; its mean is
             the time that the tool takes per length [s/mm].
@@ -83,6 +129,7 @@ def ripple(
         trochoid_radius: Radius of its circle, D_tr [mm].
         reach: Largest distance of a node across the guide [mm].
         harmonics: How many harmonics.
+        panels: How many such rules lie side by side in each row.
 
     Source: own derivation; the loop is S0 (Pessoles & Tournier 2009) eq. (5).
     """
@@ -106,9 +153,18 @@ def ripple(
     lag = order[:, None] * (phase + wave * ahead)[None, :]
     loop = turn(lag) * complex_(dwell)[None, :]
     loop = loop @ turn(beside[:, None] * across[None, :]) / phases
-    xi = offsets[None, :, :, 0]
-    harmonic = turn(wave * order[:, None, None] * xi)
-    rows = jnp.sum(complex_(rates)[None] * harmonic, axis=2)
+    rows = jnp.zeros((harmonics, offsets.shape[0]), dtype=lag.dtype)
+    rows = complex_(rows)
+    count = offsets.shape[1] // panels
+    ends = np.polynomial.legendre.leggauss(count)[0]
+    for part in range(panels):
+        nodes = slice(part * count, (part + 1) * count)
+        xi = offsets[:, nodes, 0]
+        middle = 0.5 * (xi[:, 0] + xi[:, -1])
+        half = (xi[:, -1] - xi[:, 0]) / (ends[-1] - ends[0])
+        factor = _filon(count, wave * order[:, None] * half[None, :])
+        panel = jnp.sum(complex_(rates[:, nodes])[None] * factor, axis=2)
+        rows = rows + panel * turn(wave * order[:, None] * middle[None, :])
     eta = offsets[:, 0, 1]
     footprint = rows @ turn(eta[:, None] * across[None, :])
     profile = jnp.fft.ifft(loop * footprint, axis=1) / complex_(domain / (2 * WAVES))

@@ -113,7 +113,11 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             out, aux = fn(restore(x), args)
             return ravel_pytree(out)[0].astype(point.dtype), aux
 
-        values, derivative, aux = jax.linearize(flat, trial, has_aux=True)
+        # values and slopes in one go: nothing has to be stored between them
+        values, columns, aux = jax.vmap(
+            lambda direction: jax.jvp(flat, (trial,), (direction,), has_aux=True),
+            out_axes=(None, 1, None),
+        )(jnp.diag(scale))
         old = 0.5 * jnp.sum(weigh(state.values) ** 2)
         new = 0.5 * jnp.sum(weigh(values) ** 2)
         # a decrease below rounding cannot be told from none: it counts as kept
@@ -122,11 +126,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         share = (new - old - noise) / promised
         finite = jnp.all(jnp.isfinite(values))
         keep = state.first | (finite & (share > ACCEPT))
-        jacobian = jax.lax.cond(
-            keep,
-            lambda: jax.vmap(derivative)(jnp.diag(scale)).T,
-            lambda: state.jacobian,
-        )
+        jacobian = jnp.where(keep, columns, state.jacobian)
         finite = finite & jnp.all(jnp.isfinite(jacobian))
         keep = keep & (finite | state.first)
 
