@@ -14,7 +14,7 @@ import time
 import jax
 import jax.numpy as jnp
 import numpy as np
-from polishopt.machine import Limits, sweep_periodic, time_law
+from polishopt.machine import Limits, sweep, time_law
 
 
 jax.config.update("jax_enable_x64", True)
@@ -87,7 +87,7 @@ def bench_loops(loops=200, phases=24):
         bend = [-x for x in place + turn]
         h = jnp.full(phases, 2 * np.pi / phases)
         dq, ddq = jnp.stack(slope, axis=1), jnp.stack(bend, axis=1)
-        return sweep_periodic(dq, ddq, 3 * jnp.ones(phases), h, FEED, LIMITS)
+        return sweep(dq, ddq, 3 * jnp.ones(phases), h, FEED, LIMITS)
 
     compiling, run = measure(jax.jit(jax.vmap(loop)), swing)
     print(

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 from .files.config import Loaded, describe
-from .session import BAD_INPUT, arguments, folder, prepare, read
+from .session import BAD_INPUT, arguments, folder, preload, prepare, read
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -49,7 +49,6 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     """
     from rich.console import Console
 
-    from . import report, results
     from .files.assemble import job as assemble
     from .optimize.tune import tune
 
@@ -60,6 +59,7 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
         told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {sentence}")
 
     say(f"reading {loaded.path}")
+    preload("scipy.stats", "polishopt.plots", "xarray", "h5netcdf")
     job = assemble(loaded.config)
     solver = loaded.config.solver
     with told.status("searching"):
@@ -75,6 +75,8 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
             solver.tolerance,
             progress=say,
         )
+    from . import report, results
+
     with told.status("drawing"):
         results.write(tuning, job, loaded, target, say)
     say(f"results are in {target}")

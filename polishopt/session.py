@@ -5,9 +5,11 @@ double precision, and where to keep what it has compiled, before it makes its fi
 """
 
 import argparse
+import importlib
 import os
 import platform
 import sys
+import threading
 from importlib.metadata import version
 from pathlib import Path
 
@@ -66,6 +68,16 @@ def folder(path: Path) -> bool:
     return True
 
 
+def preload(*modules: str) -> None:
+    """Imports modules in the background, for when they are needed."""
+
+    def work():
+        for module in modules:
+            importlib.import_module(module)
+
+    threading.Thread(target=work, daemon=True).start()
+
+
 def prepare(cache: bool = True) -> None:
     """Loads JAX for double precision, with its compilations kept in the user's cache.
 
@@ -84,5 +96,5 @@ def prepare(cache: bool = True) -> None:
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     target = Path(place) if place else home / "polishopt"
     jax.config.update("jax_compilation_cache_dir", str(target / name))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

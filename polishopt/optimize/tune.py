@@ -19,7 +19,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.stats import qmc
 
 from ..chain import Outcome, polish
 from ..parts import Process, Scalar, as_scalar
@@ -36,7 +35,7 @@ HIT = 1e-3
 TOLERANCE = 1e-6
 # Rounds of multipliers, and trial points in each. All starts wait for the last one, and
 # the few that have not ended by then are lost in a corner that others avoid.
-WORK = 8
+ROUNDS, TRIALS = 6, 6
 
 
 class Goal(eqx.Module):
@@ -173,6 +172,8 @@ def spread_starts(
         count: How many starts in all.
         seed: Seed of the scrambling.
     """
+    from scipy.stats import qmc  # takes longer to import than all of JAX
+
     names = list(between)
     with np.errstate(all="ignore"):
         power = max(count - 1, 1).bit_length()
@@ -293,59 +294,63 @@ def tune(
 
     say(f"reaching for the target from {starts} starts")
     stage = _Stage(setup, start, dict(target), limits, jnp.zeros_like(unit), unit)
-    near = _search(places, lower, upper, stage, secondary, tolerance, chain)
-    distance = jnp.max(jnp.abs(near.residual[0]), axis=1)
+    near = jax.device_get(_search(places, lower, upper, stage, secondary, tolerance, chain))
+    distance = np.max(np.abs(near.residual[0]), axis=1)
     hit = (distance <= HIT) & (near.status == Status.SOLVED)
-    say(f"{int(jnp.sum(hit))} of {starts} starts reach it")
-    solved = bool(jnp.any(hit))
+    say(f"{int(np.sum(hit))} of {starts} starts reach it")
+    solved, at_cost = bool(np.any(hit)), False
+    final, cost = near, np.zeros_like(distance)
+    # where nothing reaches the target: the least miss that keeps the limits, or failing
+    # that the least violation
+    kept = near.status == Status.SOLVED
+    rank = np.where(kept, near.objective, np.inf) if kept.any() else near.scaled_violation
+    if solved:
+        rank = np.where(hit, distance, np.inf)
     if solved and secondary != "none":
         say(f"looking for the least {secondary} among the answers")
         stage = eqx.tree_at(lambda s: s.weight, stage, jnp.ones_like(unit))
-        final = _search(near.x, lower, upper, stage, secondary, tolerance, chain)
-        distance = jnp.max(jnp.abs(final.equality), axis=1)
-        cost = final.residual[1] * unit
-        good = (final.status == Status.SOLVED) & (distance <= HIT)
-        if not bool(jnp.any(good)):
-            # the target is reached, only not at the least cost: keep the first stage
-            final, good = near, hit
-            cost = jnp.zeros_like(distance)
-        rank = jnp.where(good, cost, jnp.inf)
-    else:
-        final, cost = near, jnp.zeros_like(distance)
-        # infeasible limits first, then the miss
-        rank = jnp.where(final.status == Status.SOLVED, final.objective, jnp.inf)
-        rank = jnp.where(jnp.isfinite(rank).any(), rank, final.scaled_violation)
-    best = jnp.argmin(jnp.nan_to_num(rank, nan=jnp.inf))
+        held = jax.device_get(
+            _search(near.x, lower, upper, stage, secondary, tolerance, chain)
+        )
+        far = np.max(np.abs(held.equality), axis=1)
+        good = (held.status == Status.SOLVED) & (far <= HIT)
+        # else the target is reached, only not at the least cost: the first stage stands
+        if good.any():
+            final, distance, at_cost = held, far, True
+            cost = held.residual[1] * float(unit)
+            rank = np.where(good, cost, np.inf)
+    best = int(np.argmin(np.where(np.isnan(rank), np.inf, rank)))
     answer: Solution = jax.tree.map(lambda leaf: leaf[best], final)
-    process = dataclasses.replace(start, **answer.x)
+    x = {name: as_scalar(value) for name, value in answer.x.items()}
+    process = dataclasses.replace(start, **x)
     reached = outcome(process, setup)
-    status = int(answer.status)
     if solved:
         verdict = Verdict.SOLVED
-    elif status == Status.WORK_LIMIT or status == Status.NOT_A_NUMBER:
+    elif answer.status in (Status.WORK_LIMIT, Status.NOT_A_NUMBER):
         verdict = Verdict.NOT_CONVERGED
     else:
         verdict = Verdict.INFEASIBLE
-    at_cost = solved and final is not near
     # half the square of a cost c has the gradient c dc: divide it out again
-    share = jnp.where(at_cost, unit / jnp.maximum(answer.residual[1], 1e-12), 1.0)
+    share = float(unit) / max(float(answer.residual[1]), 1e-12) if at_cost else 1.0
     goal_multipliers = -answer.equality_multipliers * share
+    reached = jax.device_get(reached)
+    missed, exceeded = misses(reached, target), excesses(reached, limits)
     return Tuning(
         process=process,
         outcome=reached,
-        misses=misses(reached, target),
-        excesses=excesses(reached, limits),
+        misses=missed,
+        excesses=exceeded,
         multipliers=jax.tree.map(lambda m: m * share, answer.inequality_multipliers),
         goal_multipliers=dict(zip(target, goal_multipliers, strict=True)),
         bound_multipliers=jax.tree.map(lambda m: m * share, answer.bound_multipliers),
         kkt=answer.kkt,
         violation=answer.violation,
-        verdict=jnp.asarray(verdict.value),
-        best=best,
+        verdict=np.asarray(verdict.value),
+        best=np.asarray(best),
         starts=places,
         answers=final.x,
         distances=distance,
         costs=cost,
         statuses=final.status,
-        evaluations=final.evaluations + (near.evaluations if at_cost else 0),
+        evaluations=near.evaluations + (final.evaluations if at_cost else 0),
     )
