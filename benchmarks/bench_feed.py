@@ -1,8 +1,8 @@
 """Feed: how long the time law of a five-axis path takes to compile and to run.
 
 Prints, for several numbers of samples, the compile time, the run time (median of 20)
-and what a gradient costs beside it; then the periodic sweep of many loops at once; then
-toppra on the same path, where it is installed. Run as
+and what a gradient costs beside it; then the averaged model's feed in many loops at
+once; then toppra on the same path, where it is installed. Run as
 
     python benchmarks/bench_feed.py
 """
@@ -14,7 +14,7 @@ import time
 import jax
 import jax.numpy as jnp
 import numpy as np
-from polishopt.machine import Limits, sweep, time_law
+from polishopt.machine import Limits, loop_rate, time_law
 
 
 jax.config.update("jax_enable_x64", True)
@@ -85,9 +85,9 @@ def bench_loops(loops=200, phases=24):
         slope = [-3 * jnp.sin(phase), 3 * jnp.cos(phase), -0.1 * jnp.sin(phase)]
         slope += [-0.03 * jnp.sin(phase), swing * jnp.cos(phase)]
         bend = [-x for x in place + turn]
-        h = jnp.full(phases, 2 * np.pi / phases)
+        h = jnp.asarray(2 * np.pi / phases)
         dq, ddq = jnp.stack(slope, axis=1), jnp.stack(bend, axis=1)
-        return sweep(dq, ddq, 3 * jnp.ones(phases), h, FEED, LIMITS)
+        return loop_rate(dq, ddq, 3 * jnp.ones(phases), h, FEED, LIMITS)
 
     compiling, run = measure(jax.jit(jax.vmap(loop)), swing)
     print(

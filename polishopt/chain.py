@@ -112,9 +112,9 @@ class Stations(eqx.Module):
     """Contact path that they stand for, one pass [mm]."""
     curvature: Float[Array, "*k 2 2"]
     """Normal curvature of the part along (feed, left), averaged over the loop [1/mm]."""
-    force: Float[Array, "*k j"]
+    force: Float[Array, "*k"]
     """Force normal to the part [N]."""
-    area: Float[Array, "*k j"]
+    area: Float[Array, "*k"]
     """Area in contact [mm^2]."""
     kept: Float[Array, "*k"]
     """Volume that a station's loop removes from the part, one pass [mm^3]."""
@@ -147,7 +147,7 @@ def along(process: Process, setup: Setup) -> Stations:
             process, setup.tool, bend, side, sampling.rows, sampling.columns, setup.panels
         )
 
-    # on a plane one contact patch serves all
+    # one contact patch serves all phases of a loop, and on a plane all stations
     level = footing(jnp.zeros((2, 2), dtype=s.dtype)) if setup.flat else None
 
     def at(s, phase):
@@ -176,10 +176,8 @@ def along(process: Process, setup: Setup) -> Stations:
         )
         return place, dcontact, daxes, ddaxes
 
-    def touch(place, tangent, speed, dwell):
+    def touch(nodes, place, tangent, speed, dwell):
         f, b = place.feed_direction, place.side
-        bend = curvature(surface, place.xy, f, b)
-        nodes = footing(bend) if level is None else level
         velocity = speed * jnp.stack([jnp.sum(tangent * f), jnp.sum(tangent * b)])
         rates = preston_rates(
             nodes, setup.abrasive.preston, process.tilt, process.spin, velocity, side
@@ -188,7 +186,10 @@ def along(process: Process, setup: Setup) -> Stations:
         xi, eta = nodes.offsets[..., 0], nodes.offsets[..., 1]
         x, y = (place.xy[i] + frame[i, 0] * xi + frame[i, 1] * eta for i in (0, 1))
         points = jnp.stack([x.reshape(-1), y.reshape(-1)], axis=-1)
-        return points, dwell * rates.reshape(-1), nodes.force, nodes.contact_area, bend
+        return points, dwell * rates.reshape(-1)
+
+    def bend(place):
+        return curvature(surface, place.xy, place.feed_direction, place.side)
 
     def station(given):
         s, weight = given
@@ -196,16 +197,20 @@ def along(process: Process, setup: Setup) -> Stations:
         rate = jnp.sqrt(jnp.sum(tangent**2, axis=1))
         speed = loop_rate(dq, ddq, rate, spacing, process.feed, limits)
         dwell = weight / count / speed
-        points, volumes, force, area, bend = jax.vmap(touch)(place, tangent, speed, dwell)
+        mean_bend = jnp.mean(jax.vmap(bend)(place), axis=0)
+        nodes = footing(mean_bend) if level is None else level
+        points, volumes = jax.vmap(touch, in_axes=(None, 0, 0, 0, 0))(
+            nodes, place, tangent, speed, dwell
+        )
         points, volumes = points.reshape(-1, 2), volumes.reshape(-1)
         return Stations(
             weight=weight,
             pace=1 / speed,
             dwell=dwell,
             length=weight / count * rate,
-            curvature=jnp.mean(bend, axis=0),
-            force=force,
-            area=area,
+            curvature=mean_bend,
+            force=nodes.force,
+            area=nodes.contact_area,
             kept=jnp.sum(volumes * fraction_inside(points, grid)),
             points=points,
             volumes=volumes,
@@ -231,7 +236,7 @@ def polish(process: Process, setup: Setup) -> Outcome:
     Source: S0 (Pessoles & Tournier 2009) for the process; the texture model is our own.
     """
     path = along(process, setup)
-    share = path.dwell / jnp.sum(path.dwell)
+    share = jnp.sum(path.dwell, axis=1) / jnp.sum(path.dwell)
     force, area = jnp.sum(share * path.force), jnp.sum(share * path.area)
     touching = area > 0
     pressure = jnp.where(touching, force / jnp.where(touching, area, 1.0), 0.0)

@@ -12,7 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import plots, report, resolved
+from .chain import polish
 from .contact.pressure import patch
+from .files import assemble
 from .files.assemble import Job
 from .files.config import Config, Loaded, optimum
 from .files.document import write_text
@@ -20,7 +22,9 @@ from .files.results import write_json, write_maps, write_sensitivity
 from .optimize.sensitivity import OUTCOMES, sensitivities
 from .optimize.tune import Tuning, Verdict
 from .parts import Process
+from .setup import FINE
 from .texture.evolution import draw_patch
+from .texture.scratches import decay_rate, groove_depth
 
 
 INNER_UNITS = {
@@ -38,6 +42,7 @@ INNER_UNITS = {
     "spin": "rad/s",
 }
 GROOVES = 4096  # most grooves in a drawn patch; the oldest have faded long before
+GROOVE_PIXELS = 8  # width of a mean groove in a drawn patch
 
 
 def write(
@@ -63,13 +68,16 @@ def write(
     samples = resolved.samples(process, setup)
     run = eqx.filter_jit(resolved.run)(process, setup, samples)
     heights, extent = texture_patch(tuning, job, loaded.config)
-    maps(tuning, job, loaded, run, heights, extent, target)
+    # the search needs sums over the part; a map wants more nodes
+    close = eqx.tree_at(lambda s: s.sampling, setup, FINE)
+    removal = eqx.filter_jit(lambda p, s: polish(p, s).removal)(process, close)
+    maps(tuning, close, loaded, run, removal, heights, extent, target)
     say("drawing the pictures")
     plots.save(plots.path(run, setup), target / "path.png")
     plots.save(plots.feed(run, process), target / "feed.png")
     plots.save(plots.contact(process, setup), target / "contact.png")
     plots.save(
-        plots.removal(np.asarray(tuning.outcome.removal), np.asarray(setup.size)),
+        plots.removal(np.asarray(removal), np.asarray(setup.size)),
         target / "removal.png",
     )
     plots.save(plots.texture(heights, extent, tuning.outcome), target / "texture.png")
@@ -146,39 +154,52 @@ def write_sensitivities(job: Job, process: Process, target: Path) -> None:
 def texture_patch(tuning: Tuning, job: Job, config: Config):
     """A drawn patch of the finished texture [mm], and its sides along y and x [mm].
 
-    Grooves of this step are drawn one by one; what is left of earlier steps and the
-    ripple is drawn as grooves and waves of the same variance.
+    The grooves of this step and what is left of those of the step before, one by one, and
+    the ripple as one wave. What a start map or a measured roughness leaves is not drawn.
     """
-    asked, outcome = config.texture, tuning.outcome
-    extent = jnp.full(2, asked.patch_mm)
-    shape = (asked.patch_pixels, asked.patch_pixels)
-    _, _, _, waves = outcome.parts
-    heights = eqx.filter_jit(draw_patch)(
-        jax.random.key(config.solver.seed),
-        job.setup.abrasive,
-        outcome.pressure,
-        outcome.mean_removal,
+    asked, abrasive = config.texture, job.setup.abrasive
+    pressure = jnp.asarray(tuning.outcome.pressure)
+    removal = jnp.asarray(tuning.outcome.mean_removal)
+    width = 2 * groove_depth(abrasive, pressure) * jnp.tan(abrasive.half_angle)
+    side = asked.patch_mm or asked.patch_pixels * float(width) / GROOVE_PIXELS
+    extent, shape = jnp.full(2, side), (asked.patch_pixels, asked.patch_pixels)
+    keys = jax.random.split(jax.random.key(config.solver.seed))
+    waves = tuning.outcome.parts[-1]
+    draw = eqx.filter_jit(draw_patch)
+    heights = draw(
+        keys[0],
+        abrasive,
+        pressure,
+        removal,
         shape,
         extent,
         GROOVES,
         amplitudes=jnp.sqrt(jnp.maximum(2 * waves.k2, 0.0))[None],
         wavelengths=tuning.process.step[None],
     )
+    before = config.start.scratches
+    if before is not None:
+        grade = assemble.abrasive(before.abrasive)
+        steady = assemble.LONG_AGO * grade.grain
+        earlier = draw(
+            keys[1], grade, jnp.asarray(before.pressure_MPa), steady, shape, extent, GROOVES
+        )
+        heights += earlier * jnp.exp(-decay_rate(abrasive, pressure) * removal)
     return np.asarray(heights), np.asarray(extent)
 
 
-def maps(tuning, job, loaded, run, heights, extent, target: Path) -> None:
+def maps(tuning, setup, loaded, run, removal, heights, extent, target: Path) -> None:
     """`maps.nc`: removal, contact footprint, texture patch, and the path with its feed."""
-    grid, outcome, law = job.setup.grid, tuning.outcome, run.law
+    grid, law = setup.grid, run.law
     rows, columns = np.asarray(heights).shape
     flat = jnp.zeros((2, 2), dtype=grid.x.dtype)
-    nodes = patch(tuning.process, job.setup.tool, flat, job.setup.side, 16, 24)
+    nodes = patch(tuning.process, setup.tool, flat, setup.side, 16, 24)
     axes = np.asarray(run.axes)
     along = ("sample",)
     variables = {
         "x": (("x",), grid.x, "mm", "place along x"),
         "y": (("y",), grid.y, "mm", "place along y"),
-        "removal": (("y", "x"), outcome.removal, "mm", "depth removed, loops averaged"),
+        "removal": (("y", "x"), removal, "mm", "depth removed, loops averaged"),
         "patch_x": (
             ("patch_x",),
             (np.arange(columns) + 0.5) * extent[1] / columns,

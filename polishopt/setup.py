@@ -78,6 +78,8 @@ class Setup(eqx.Module):
     """Whether the axis leans towards the feed or away from it."""
     lean: str = eqx.field(static=True, default="guide")
     """Whether it leans along the guide or along a fixed direction."""
+    concave: bool = eqx.field(static=True, default=True)
+    """Whether the part bends upwards anywhere; False saves half the work in contacts."""
     sampling: Sampling = eqx.field(default_factory=Sampling)
     """How finely averages are taken."""
 
@@ -94,7 +96,7 @@ class Setup(eqx.Module):
     @property
     def panels(self) -> int:
         """Pieces into which a row of the contact patch may fall: see `pressure.patch`."""
-        return 1 if self.flat else 2
+        return 2 if self.concave else 1
 
     @property
     def grid(self) -> Grid:

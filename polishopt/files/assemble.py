@@ -65,6 +65,10 @@ def job(config: Config) -> Job:
         roughness_cutoff=internal(config.texture)["l_filter"],
         pulling=config.guide.mode == "pulling",
         lean=config.guide.lean,
+        concave=not (
+            config.part.surface == "plane"
+            or (config.part.surface == "sphere_cap" and config.part.radius_mm > 0)
+        ),
         sampling=sampling(config),
     )
     return Job(

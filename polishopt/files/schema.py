@@ -20,8 +20,8 @@ class Texture(Section):
 
     l_filter_mm: Annotated[float, Between("(0, 100]")] = 0.8
     """Cut-off of the roughness filter (L-filter): longer waves do not count."""
-    patch_mm: Annotated[float, Between("(0, 100]")] = 1.0
-    """Side of the drawn patch of texture."""
+    patch_mm: Annotated[float, Between("(0, 100]")] | None = None
+    """Side of the drawn patch of texture; left out, a mean groove is 8 pixels wide."""
     patch_pixels: Annotated[int, Between("[16, 4096]")] = 512
     """Pixels along each side of the drawn patch."""
 

@@ -1,0 +1,146 @@
+"""The command line: exit codes, sentences, and the folder of results."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+
+CONFIGS = Path(__file__).parent.parent / "configs"
+# a small part, a coarse guide and few starts: the same road, faster
+SMALL = [
+    "--set=guide.order=1",
+    "--set=solver.starts=4",
+    "--set=sampling.grid=12",
+    "--set=texture.patch_pixels=48",
+    "--set=process.step_mm.between=[1, 3]",
+]
+
+
+def command(module, *arguments, **environment):
+    return subprocess.run(
+        [sys.executable, "-m", module, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "POLISHOPT_CACHE": "off", **environment},
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("module", ["polishopt.fit", "polishopt.sensitivity"])
+def test_a_wrong_config_is_answered_with_its_place_before_jax_is_loaded(module, tmp_path):
+    path = tmp_path / "bad.yaml"
+    text = (CONFIGS / "pessoles2009_plane.yaml").read_text()
+    path.write_text(text.replace("{start: 3, between", "{start: 95, between"))
+    code = (
+        f"import sys; from {module} import main; code = main([{str(path)!r}]); "
+        "print('jax' in sys.modules); sys.exit(code)"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 2
+    assert ran.stdout.strip() == "False"
+    assert "bad.yaml:" in ran.stderr
+    assert "tilt_deg" in ran.stderr
+    assert "Traceback" not in ran.stderr
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_check_and_help_load_no_jax():
+    config = str(CONFIGS / "pessoles2009_plane.yaml")
+    code = (
+        "import sys; from polishopt.fit import main; main([{!r}, '--check']); "
+        "sys.exit('jax' in sys.modules)"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code.format(config)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0
+    assert "hilbert" in ran.stdout
+    assert command("polishopt.fit", "--help").returncode == 0
+
+
+def test_a_folder_that_cannot_be_made_is_a_sentence(tmp_path):
+    occupied = tmp_path / "file"
+    occupied.write_text("")
+    ran = command("polishopt.fit", CONFIGS / "pessoles2009_plane.yaml", "-o", occupied)
+    assert ran.returncode == 2
+    assert "cannot be used as a folder" in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    target = tmp_path_factory.mktemp("run")
+    config = CONFIGS / "pessoles2009_plane.yaml"
+    return target, command("polishopt.fit", config, "-o", target, *SMALL)
+
+
+def test_fit_ends_with_an_honest_exit_code(fitted):
+    target, ran = fitted
+    assert "Traceback" not in ran.stderr, ran.stderr
+    assert ran.returncode in (0, 3), ran.stderr
+    result = json.loads((target / "result.json").read_text())
+    assert result["verdict"] == {0: "solved", 3: "infeasible"}[ran.returncode]
+    for word in ("Settings", "Texture", "Limits", "Certificate", "tilt", "θ"):
+        assert word in ran.stdout
+    assert result["sentence"].split(":")[0] in ran.stdout.replace("\n", " ")
+
+
+def test_fit_leaves_every_file_and_no_half_ones(fitted):
+    target, _ = fitted
+    names = {path.name for path in target.iterdir()}
+    assert names == {
+        "result.json",
+        "optimum.yaml",
+        "maps.nc",
+        "sensitivity.csv",
+        "sensitivity.png",
+        "path.png",
+        "feed.png",
+        "contact.png",
+        "removal.png",
+        "texture.png",
+    }
+
+
+def test_optimum_is_a_config_that_starts_at_the_answer(fitted):
+    target, _ = fitted
+    text = (target / "optimum.yaml").read_text()
+    assert "# S0 Table 1" in text, "comments are kept"
+    written = YAML().load(text)["process"]["tilt_deg"]["start"]
+    result = json.loads((target / "result.json").read_text())
+    assert written == pytest.approx(result["answers"]["tilt_deg"], rel=1e-5)
+
+
+def test_maps_carry_units(fitted):
+    xarray = pytest.importorskip("xarray")
+    target, _ = fitted
+    with xarray.open_dataset(target / "maps.nc", engine="h5netcdf") as maps:
+        assert maps["removal"].dims == ("y", "x")
+        assert all("units" in maps[name].attrs for name in maps.variables)
+        assert "surface: plane" in maps.attrs["config"]
+        result = json.loads((target / "result.json").read_text())
+        mean = result["outcome"]["mean_removal"]
+        np.testing.assert_allclose(float(maps["removal"].mean()), mean, rtol=0.02)
+        time = maps["time"].to_numpy()
+        assert (np.diff(time) >= 0).all()
+
+
+def test_sensitivity_command_draws_again(tmp_path):
+    config = CONFIGS / "pessoles2009_plane.yaml"
+    ran = command("polishopt.sensitivity", config, "-o", tmp_path, "--set=guide.order=1")
+    assert ran.returncode == 0, ran.stderr
+    lines = (tmp_path / "sensitivity.csv").read_text().splitlines()
+    assert lines[0].startswith("outcome,setting")
+    assert any(line.startswith("Ssk,tilt,") for line in lines)
+    assert (tmp_path / "sensitivity.png").stat().st_size > 10_000

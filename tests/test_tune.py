@@ -1,0 +1,160 @@
+"""Tuning: the target is met, limits hold, and what cannot be met is named."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import assert_close
+from polishopt import Goal, Limits, Process, tune
+from polishopt.optimize.tune import Verdict, excesses, misses, spread_starts
+from scipy.optimize import minimize
+
+
+class Toy(dict):
+    """An outcome with just the fields that goals and limits read."""
+
+    __getattr__ = dict.__getitem__
+
+
+def toy(process: Process, setup) -> Toy:
+    """A smooth stand-in for the chain, with the same kind of family of answers."""
+    e, p = process.displacement, process.step
+    radius, tilt = process.trochoid_radius, process.tilt
+    hard = e**2 / tilt
+    return Toy(
+        Ssk=-jnp.tanh(hard) - 0.1 * p,
+        Sku=3 + hard**2 + 0.3 * radius / 6,
+        time=1000 / p * radius / 6 + 50 * tilt,
+        force_max=5 * hard,
+        mean_removal=hard / p,
+        spread=0.1 * p,
+        unstick_margin=4 - 5 * hard + 10 * tilt,
+        body_clearance=0.6 + 4 * tilt - e,
+        shear_margin=jnp.inf,
+    )
+
+
+jax.tree_util.register_pytree_node(
+    Toy,
+    lambda toy: (list(toy.values()), list(toy)),
+    lambda k, v: Toy(zip(k, v, strict=True)),
+)
+START = Process(0.1, 0.3, 1.0, 6.0, 16.7, 209.0)
+BETWEEN = {
+    "tilt": (0.05, 0.26),
+    "displacement": (0.1, 1.2),
+    "step": (0.5, 3.0),
+    "trochoid_radius": (2.0, 8.0),
+}
+
+
+@pytest.fixture(scope="module")
+def solved():
+    target = {"Ssk": Goal(-0.75, 0.05), "Sku": Goal(3.6, 0.1)}
+    limits = Limits(time=jnp.asarray(1200.0))
+    return target, limits, tune(None, START, BETWEEN, target, limits, chain=toy)
+
+
+def test_target_is_met_and_limits_hold(solved):
+    _, _, answer = solved
+    assert int(answer.verdict) == Verdict.SOLVED
+    assert_close(answer.outcome.Ssk, -0.75, atol=5e-5)
+    assert_close(answer.outcome.Sku, 3.6, atol=1e-4)
+    assert all(float(excess) <= 1e-6 for excess in answer.excesses.values())
+    for name, (low, high) in BETWEEN.items():
+        assert low <= float(getattr(answer.process, name)) <= high
+    assert float(answer.kkt) <= 1e-4
+
+
+def test_no_better_point_is_found_by_slsqp(solved):
+    target, limits, answer = solved
+    names = list(BETWEEN)
+
+    def outcome(x):
+        return toy(dataclasses.replace(START, **dict(zip(names, x, strict=True))), None)
+
+    best = np.inf
+    for start in np.stack(list(spread_starts(vars(START), BETWEEN, 8, 1).values()), 1):
+        found = minimize(
+            lambda x: outcome(x).time / 1000,
+            start,
+            jac=jax.jacfwd(lambda x: outcome(x).time / 1000),
+            bounds=list(BETWEEN.values()),
+            constraints=[
+                {
+                    "type": "eq",
+                    "fun": lambda x: np.stack(list(misses(outcome(x), target).values())),
+                },
+                {
+                    "type": "ineq",
+                    "fun": lambda x: -np.stack(list(excesses(outcome(x), limits).values())),
+                },
+            ],
+        )
+        if found.success:
+            best = min(best, 1000 * found.fun)
+    assert float(answer.outcome.time) <= best * (1 + 1e-5)
+
+
+def test_multiplier_is_what_a_limit_is_worth():
+    """Relaxing the active limit changes the time as its multiplier says."""
+    target = {"Ssk": Goal(-0.75, 0.05)}
+    times, answers = [], []
+    for most in (3.9, 4.0, 4.1):
+        limits = Limits(
+            force=jnp.asarray(most), unstick=False, most_removal=jnp.asarray(0.5)
+        )
+        answers.append(tune(None, START, BETWEEN, target, limits, chain=toy, starts=8))
+        assert int(answers[-1].verdict) == Verdict.SOLVED
+        times.append(float(answers[-1].outcome.time))
+    slope = (times[0] - times[2]) / 0.2
+    assert_close(float(answers[1].multipliers["force"]), slope, rtol=0.03, atol=1e-3)
+
+
+def test_infeasible_target_names_what_is_in_the_way():
+    target = {"Ssk": Goal(-0.99, 0.05), "Sku": Goal(3.0, 0.1)}
+    limits = Limits(force=jnp.asarray(3.0))
+    answer = tune(None, START, BETWEEN, target, limits, chain=toy)
+    assert int(answer.verdict) == Verdict.INFEASIBLE
+    assert max(abs(float(miss)) for miss in answer.misses.values()) > 0.1
+    assert all(float(excess) <= 1e-6 for excess in answer.excesses.values())
+    # nothing better within the limits, by brute force
+    grid = np.random.default_rng(0).uniform(size=(20000, 4))
+    low, high = np.array(list(BETWEEN.values())).T
+    points = jnp.asarray(low + grid * (high - low))
+
+    def score(x):
+        given = dict(zip(BETWEEN, x, strict=True))
+        outcome = toy(dataclasses.replace(START, **given), None)
+        over = jnp.stack(list(excesses(outcome, limits).values()))
+        missed = jnp.stack(list(misses(outcome, target).values()))
+        return jnp.where(jnp.all(over <= 0), jnp.sum(missed**2), jnp.inf)
+
+    best = float(jnp.min(jax.vmap(score)(points)))
+    reached = sum(float(miss) ** 2 for miss in answer.misses.values())
+    assert reached <= best * (1 + 1e-6)
+
+
+def test_starts_lie_in_the_bounds_and_begin_with_the_given_one():
+    places = spread_starts(vars(START), BETWEEN, 16, seed=3)
+    for name, (low, high) in BETWEEN.items():
+        assert places[name].shape == (16,)
+        assert float(places[name][0]) == pytest.approx(float(getattr(START, name)))
+        assert (places[name] >= low).all()
+        assert (places[name] <= high).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "fragment"),
+    [
+        ({"between": {"tilt": (0.2, 0.3)}}, "must lie between"),
+        ({"between": {"lean": (0.0, 1.0)}}, "no setting of `Process`"),
+        ({"secondary": "beauty"}, "must be 'time', 'force' or 'none'"),
+    ],
+)
+def test_senseless_arguments_are_refused(change, fragment):
+    given = {"between": BETWEEN, "target": {"Ssk": Goal(-0.5, 0.05)}} | change
+    with pytest.raises(ValueError, match=fragment):
+        tune(None, START, given.pop("between"), given.pop("target"), chain=toy, **given)
