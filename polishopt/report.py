@@ -80,10 +80,8 @@ def verdict(tuning: Tuning) -> str:
             "Not converged: no search ended within its work. Try more starts "
             "(solver.starts) or narrower bounds."
         )
-    if float(tuning.violation) > 0 and any(
-        float(excess) > CLOSE for excess in tuning.excesses.values()
-    ):
-        broken = [name for name, over in tuning.excesses.items() if float(over) > CLOSE]
+    if int(tuning.statuses[tuning.best]) == Status.INFEASIBLE:
+        broken = [name for name, over in tuning.excesses.items() if float(over) > 0]
         return f"Infeasible: these limits cannot all hold: {', '.join(broken)}."
     ways = conflict(tuning)
     blame = f" In the way: {', '.join(ways)}." if ways else ""

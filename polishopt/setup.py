@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .contact.removal import Grid
-from .parts import Abrasive, Machine, Scalar, Tool, as_scalar
+from .parts import Abrasive, Machine, Scalar, Tool, as_array, as_scalar
 from .path.guide import Guide
 from .path.surface import Plane
 from .texture.areal import Cumulants
@@ -30,7 +30,9 @@ class Start(eqx.Module):
     """What earlier grades left, as cumulants [mm^2, mm^3, mm^4]."""
     heights: Float[Array, "ny nx"] | None = None
     """A periodic height map, such as a milled surface; None for none [mm]."""
-    spacing: Float[Array, "2"] | None = None
+    spacing: Float[Array, "2"] = eqx.field(
+        converter=as_array, default_factory=lambda: jnp.ones(2)
+    )
     """Distance of its points along y and x [mm]."""
 
 

@@ -64,8 +64,8 @@ def circle(radius, n):
 def turns(dq, ddq, spacing, feed, limits):
     """Second of three turns on a closed loop: it knows nothing of how they start or end."""
     n = spacing.size
-    thrice = [jnp.concatenate([x, x, x]) for x in (dq, ddq, spacing)]
-    b = sweep(*thrice[:2], jnp.ones(3 * n), thrice[2][:-1], feed, limits)
+    dq, ddq, spacing = (jnp.concatenate([x, x, x]) for x in (dq, ddq, spacing))
+    b = sweep(dq, ddq, jnp.ones(3 * n), spacing[:-1], feed, limits)
     return b[n : 2 * n]
 
 

@@ -143,7 +143,12 @@ def test_ripple_of_a_straight_trochoid_matches_the_resolved_removal():
     turn = 2 * np.pi * circle / step
     pace = np.hypot(1 + turn * np.cos(phase), turn * np.sin(phase)) / speed
     waves = ripple(
-        patch.offsets, rates, jnp.asarray(pace), *map(jnp.asarray, (step, circle, radius))
+        patch.offsets,
+        rates,
+        jnp.asarray(pace),
+        jnp.asarray(step),
+        jnp.asarray(circle),
+        jnp.asarray(radius),
     )
 
     # one period of the map, from every loop that reaches it

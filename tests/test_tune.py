@@ -1,46 +1,48 @@
 """Tuning: the target is met, limits hold, and what cannot be met is named."""
 
 import dataclasses
+from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close
-from polishopt import Goal, Limits, Process, tune
+from polishopt import Goal, Limits, Outcome, Process, Setup, tune
+from polishopt.files.assemble import job
+from polishopt.files.config import load
 from polishopt.optimize.tune import Verdict, excesses, misses, spread_starts
 from scipy.optimize import minimize
 
 
-class Toy(dict):
-    """An outcome with just the fields that goals and limits read."""
-
-    __getattr__ = dict.__getitem__
+CONFIGS = Path(__file__).parent.parent / "configs"
+SETUP = job(load(CONFIGS / "pessoles2009_plane.yaml").config).setup
 
 
-def toy(process: Process, setup) -> Toy:
+def toy(process: Process, setup: Setup) -> Outcome:
     """A smooth stand-in for the chain, with the same kind of family of answers."""
+    del setup
     e, p = process.displacement, process.step
     radius, tilt = process.trochoid_radius, process.tilt
     hard = e**2 / tilt
-    return Toy(
-        Ssk=-jnp.tanh(hard) - 0.1 * p,
-        Sku=3 + hard**2 + 0.3 * radius / 6,
-        time=1000 / p * radius / 6 + 50 * tilt,
-        force_max=5 * hard,
-        mean_removal=hard / p,
-        spread=0.1 * p,
-        unstick_margin=4 - 5 * hard + 10 * tilt,
-        body_clearance=0.6 + 4 * tilt - e,
-        shear_margin=jnp.inf,
-    )
+    given = {
+        "Ssk": -jnp.tanh(hard) - 0.1 * p,
+        "Sku": 3 + hard**2 + 0.3 * radius / 6,
+        "time": 1000 / p * radius / 6 + 50 * tilt,
+        "force_max": 5 * hard,
+        "mean_removal": hard / p,
+        "spread": 0.1 * p,
+        "unstick_margin": 4 - 5 * hard + 10 * tilt,
+        "body_clearance": 0.6 + 4 * tilt - e,
+        "removal": jnp.zeros((1, 1)),
+        "parts": (),
+    }
+    rest = {field.name: jnp.zeros(()) for field in dataclasses.fields(Outcome)}
+    fields: dict[str, Any] = rest | given
+    return Outcome(**fields)
 
 
-jax.tree_util.register_pytree_node(
-    Toy,
-    lambda toy: (list(toy.values()), list(toy)),
-    lambda k, v: Toy(zip(k, v, strict=True)),
-)
 START = Process(0.1, 0.3, 1.0, 6.0, 16.7, 209.0)
 BETWEEN = {
     "tilt": (0.05, 0.26),
@@ -54,7 +56,7 @@ BETWEEN = {
 def solved():
     target = {"Ssk": Goal(-0.75, 0.05), "Sku": Goal(3.6, 0.1)}
     limits = Limits(time=jnp.asarray(1200.0))
-    return target, limits, tune(None, START, BETWEEN, target, limits, chain=toy)
+    return target, limits, tune(SETUP, START, BETWEEN, target, limits, chain=toy)
 
 
 def test_target_is_met_and_limits_hold(solved):
@@ -73,7 +75,7 @@ def test_no_better_point_is_found_by_slsqp(solved):
     names = list(BETWEEN)
 
     def outcome(x):
-        return toy(dataclasses.replace(START, **dict(zip(names, x, strict=True))), None)
+        return toy(dataclasses.replace(START, **dict(zip(names, x, strict=True))), SETUP)
 
     best = np.inf
     for start in np.stack(list(spread_starts(vars(START), BETWEEN, 8, 1).values()), 1):
@@ -106,7 +108,7 @@ def test_multiplier_is_what_a_limit_is_worth():
         limits = Limits(
             force=jnp.asarray(most), unstick=False, most_removal=jnp.asarray(0.5)
         )
-        answers.append(tune(None, START, BETWEEN, target, limits, chain=toy, starts=8))
+        answers.append(tune(SETUP, START, BETWEEN, target, limits, chain=toy, starts=8))
         assert int(answers[-1].verdict) == Verdict.SOLVED
         times.append(float(answers[-1].outcome.time))
     slope = (times[0] - times[2]) / 0.2
@@ -116,7 +118,7 @@ def test_multiplier_is_what_a_limit_is_worth():
 def test_infeasible_target_names_what_is_in_the_way():
     target = {"Ssk": Goal(-0.99, 0.05), "Sku": Goal(3.0, 0.1)}
     limits = Limits(force=jnp.asarray(3.0))
-    answer = tune(None, START, BETWEEN, target, limits, chain=toy)
+    answer = tune(SETUP, START, BETWEEN, target, limits, chain=toy)
     assert int(answer.verdict) == Verdict.INFEASIBLE
     assert max(abs(float(miss)) for miss in answer.misses.values()) > 0.1
     assert all(float(excess) <= 1e-6 for excess in answer.excesses.values())
@@ -127,7 +129,7 @@ def test_infeasible_target_names_what_is_in_the_way():
 
     def score(x):
         given = dict(zip(BETWEEN, x, strict=True))
-        outcome = toy(dataclasses.replace(START, **given), None)
+        outcome = toy(dataclasses.replace(START, **given), SETUP)
         over = jnp.stack(list(excesses(outcome, limits).values()))
         missed = jnp.stack(list(misses(outcome, target).values()))
         return jnp.where(jnp.all(over <= 0), jnp.sum(missed**2), jnp.inf)
@@ -157,4 +159,4 @@ def test_starts_lie_in_the_bounds_and_begin_with_the_given_one():
 def test_senseless_arguments_are_refused(change, fragment):
     given = {"between": BETWEEN, "target": {"Ssk": Goal(-0.5, 0.05)}} | change
     with pytest.raises(ValueError, match=fragment):
-        tune(None, START, given.pop("between"), given.pop("target"), chain=toy, **given)
+        tune(SETUP, START, given.pop("between"), given.pop("target"), chain=toy, **given)

@@ -159,7 +159,7 @@ class Tuning(eqx.Module):
 
 
 def spread_starts(
-    first: Mapping[str, float],
+    first: Mapping[str, float | Scalar],
     between: Mapping[str, tuple[float, float]],
     count: int,
     seed: int = 0,
@@ -319,21 +319,23 @@ def tune(
             final, distance, at_cost = held, far, True
             cost = held.residual[1] * float(unit)
             rank = np.where(good, cost, np.inf)
+    evaluations = near.evaluations + (final.evaluations if at_cost else 0)
     best = int(np.argmin(np.where(np.isnan(rank), np.inf, rank)))
+    # the loops above ran on the host; what is handed out are JAX arrays again
+    final, distance, cost = jax.tree.map(jnp.asarray, (final, distance, cost))
     answer: Solution = jax.tree.map(lambda leaf: leaf[best], final)
     x = {name: as_scalar(value) for name, value in answer.x.items()}
     process = dataclasses.replace(start, **x)
     reached = outcome(process, setup)
     if solved:
         verdict = Verdict.SOLVED
-    elif answer.status in (Status.WORK_LIMIT, Status.NOT_A_NUMBER):
+    elif int(answer.status) in (Status.WORK_LIMIT, Status.NOT_A_NUMBER):
         verdict = Verdict.NOT_CONVERGED
     else:
         verdict = Verdict.INFEASIBLE
     # half the square of a cost c has the gradient c dc: divide it out again
     share = float(unit) / max(float(answer.residual[1]), 1e-12) if at_cost else 1.0
     goal_multipliers = -answer.equality_multipliers * share
-    reached = jax.device_get(reached)
     missed, exceeded = misses(reached, target), excesses(reached, limits)
     return Tuning(
         process=process,
@@ -345,12 +347,12 @@ def tune(
         bound_multipliers=jax.tree.map(lambda m: m * share, answer.bound_multipliers),
         kkt=answer.kkt,
         violation=answer.violation,
-        verdict=np.asarray(verdict.value),
-        best=np.asarray(best),
+        verdict=jnp.asarray(verdict.value),
+        best=jnp.asarray(best),
         starts=places,
         answers=final.x,
         distances=distance,
         costs=cost,
         statuses=final.status,
-        evaluations=near.evaluations + (final.evaluations if at_cost else 0),
+        evaluations=jnp.asarray(evaluations),
     )
