@@ -135,7 +135,7 @@ def test_ripple_of_a_straight_trochoid_matches_the_resolved_removal():
     radius, circle, step, speed = 3.0, 2.0, 2.0, 16.7
     setting = Process(0.05, 0.15, step, circle, speed, 209.4)
     tool = Tool(radius, 0.3, 2.0, 0.5, [0.0], [9.0])
-    patch = pressure.patch(setting, tool, jnp.zeros((2, 2)), rows=16, columns=96)
+    patch = pressure.patch(setting, tool, jnp.zeros((2, 2)), rows=40, columns=5)
     rates = removal.preston_rates(
         patch, jnp.asarray(4e-7), setting.tilt, setting.spin, jnp.zeros(2)
     )

@@ -31,6 +31,10 @@ WAVES = 16
 DOMAIN = 2.5
 
 
+# Nodes in a row: more would be no more accurate, see `_bessel`.
+MOST_NODES = 8
+
+
 class Ripple(eqx.Module):
     """Harmonics of the removal along the guide, across one strip."""
 
@@ -65,8 +69,8 @@ class Ripple(eqx.Module):
 def _bessel(orders: int, x: Float[Array, "*n"]) -> list[Float[Array, "*n"]]:
     """Spherical Bessel functions j_0, j_1 ... of the first few orders.
 
-    By upward recurrence, which loses at most three digits of sixteen above the switch to
-    the power series.
+    By upward recurrence, which for eight orders loses at most seven digits of sixteen
+    above the switch to the power series; each further order costs more.
     """
     small = jnp.abs(x) < 0.5
     far = jnp.where(small, 1.0, x)
@@ -97,7 +101,8 @@ def _filon(nodes: int, x: Float[Array, "*n"]) -> Array:
     real, imaginary = real.astype(x.dtype), imaginary.astype(x.dtype)
     for l in range(nodes):
         legendre = np.polynomial.legendre.Legendre.basis(l)(t)
-        part = bessel[l][..., None] * jnp.asarray((2 * l + 1) * legendre, dtype=x.dtype)
+        row = jnp.asarray((2 * l + 1) * legendre, dtype=x.dtype)
+        part = bessel[l][..., None] * row.reshape(*([1] * x.ndim), -1)
         sign = (1.0, -1.0, -1.0, 1.0)[l % 4]
         if l % 2:
             imaginary = imaginary + sign * part
@@ -131,6 +136,9 @@ def ripple(
         harmonics: How many harmonics.
         panels: How many such rules lie side by side in each row.
 
+    Raises:
+        ValueError: if a row has less than 2 or more than 8 nodes.
+
     Source: own derivation; the loop is S0 (Pessoles & Tournier 2009) eq. (5).
     """
     real = offsets.dtype
@@ -156,6 +164,11 @@ def ripple(
     rows = jnp.zeros((harmonics, offsets.shape[0]), dtype=lag.dtype)
     rows = complex_(rows)
     count = offsets.shape[1] // panels
+    if not 2 <= count <= MOST_NODES:
+        raise ValueError(
+            f"`ripple(offsets=...)` has {count} nodes in a row, must have 2 to "
+            f"{MOST_NODES}."
+        )
     ends = np.polynomial.legendre.leggauss(count)[0]
     for part in range(panels):
         nodes = slice(part * count, (part + 1) * count)
