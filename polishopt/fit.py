@@ -1,8 +1,8 @@
 """Fit: `python -m polishopt.fit config.yaml` tunes a polishing step and reports on it.
 
 Exit codes: 0 solved, 2 bad input, 3 the target cannot be met within the limits, 4 not
-converged. Results are written in the last three cases but the second, so that a failure
-can be looked at.
+converged. Results are written in all cases but bad input, so that a failure can be looked
+at.
 """
 
 import sys

@@ -48,7 +48,7 @@ OUTCOME_UNITS = {
     "feed": ("mm_min", "feed reached, mean"),
     "path_length": ("mm", "contact path"),
     "mean_removal": ("um", "removal, mean"),
-    "spread": ("percent", "removal, spread over the part"),
+    "spread": ("percent", "removal, spread (coarse nodes)"),
     "ripple": ("percent", "removal, ripple (straight guide)"),
 }
 CLOSE = 1e-6  # a limit or bound nearer than this share of its size counts as reached

@@ -97,12 +97,8 @@ def phase_maps(faster):
 
 
 def test_mean_over_starting_phases_is_the_averaged_map():
-    """As close as the scatter of 256 paths allows, where the feed adds no speed.
-
-    The averaged process adds the feed to the speed under the disc and a path on a plane
-    leaves it out, so here the disc spins a hundred times as fast as S0's.
-    """
-    maps, want = phase_maps(100.0)
+    """As close as the scatter of 256 paths allows, at S0's own spindle speed."""
+    maps, want = phase_maps(1.0)
     error = maps.std(axis=0, ddof=1) / math.sqrt(len(maps))
     gap = maps.mean(axis=0) - want
     # evenly spaced phases, which have no scatter, differ from the average by 0.35 % rms:
@@ -111,14 +107,6 @@ def test_mean_over_starting_phases_is_the_averaged_map():
     allowed = 0.0035 * want.mean()
     z = np.sqrt(np.mean(gap**2) / np.mean(error**2 + allowed**2))
     assert z < 1.3
-    assert_close(maps.mean(), want.mean(), rtol=2e-3)
-
-
-def test_the_feed_left_out_of_a_path_shows_in_its_map():
-    """At S0's spindle speed the feed is 3 % of the rim's: it shifts the map by less."""
-    maps, want = phase_maps(1.0)
-    gap = np.sqrt(np.mean((maps.mean(axis=0) - want) ** 2)) / want.mean()
-    assert gap < 0.02
     assert_close(maps.mean(), want.mean(), rtol=2e-3)
 
 
