@@ -46,9 +46,6 @@ from .texture.scratches import decay, decay_rate, groove_cumulants
 # Stations are worked off a few at a time: a batch that stays in the processor's cache is
 # several times faster than all of them at once, most of all when differentiated.
 STATIONS_AT_ONCE = 16
-# The ripple's transform asks more of the contact patch than its integrals do: the rows
-# must resolve its wave along the bent rim, down to steps of a ninth of the disc's radius.
-RIPPLE_ROWS, RIPPLE_COLUMNS, RIPPLE_PHASES = 40, 4, 128
 
 
 class Outcome(eqx.Module):
@@ -256,7 +253,9 @@ def polish(process: Process, setup: Setup) -> Outcome:
     spread = _ratio(variance, mean_removal)
 
     waves = _ripple(process, setup, path)
-    density = setup.guide.length / part_area
+    total = jnp.sum(path.volumes)
+    inside = jnp.where(touching, jnp.sum(path.kept) / jnp.where(touching, total, 1.0), 0.0)
+    density = setup.guide.length / part_area * inside
     passed = 1 - gaussian_transmission(waves.wavelengths, setup.roughness_cutoff)
     bare, _ = waves.moments(density)
     second, fourth = waves.moments(density, passed)
@@ -330,24 +329,16 @@ def _ripple(process: Process, setup: Setup, path: Stations) -> Ripple:
     """Ripple of the removal, from the mean curvature and the mean loop of the path."""
     share = path.weight / jnp.sum(path.weight)
     bend = jnp.einsum("k,kab->ab", share, path.curvature)
-    lean, panels = setup.side, setup.panels
-    footing = patch(process, setup.tool, bend, lean, RIPPLE_ROWS, RIPPLE_COLUMNS, panels)
-    still = jnp.zeros_like(bend[0])
-    rates = preston_rates(
-        footing, setup.abrasive.preston, process.tilt, process.spin, still, lean
-    )
-    # the loop's pace is smooth in its phase: its few harmonics are known at all phases
-    pace = jnp.einsum("k,kj->j", share, path.pace)
-    few = jnp.fft.rfft(pace) * (RIPPLE_PHASES / pace.shape[0])
-    dense = jnp.fft.irfft(few, RIPPLE_PHASES)
+    square = jnp.sum(share[:, None] * path.pace**2) / path.pace.shape[1]
     return ripple(
-        footing.offsets,
-        process.passes * rates,
-        dense,
-        process.step,
-        process.trochoid_radius,
-        setup.tool.radius,
-        panels=panels,
+        process,
+        setup.tool,
+        process.passes * setup.abrasive.preston,
+        setup.guide.bends() if setup.lean == "guide" else setup.guide.compass(),
+        bend,
+        jnp.sqrt(square),
+        process.passes * jnp.sum(path.volumes) / jnp.sum(path.dwell),
+        setup.side,
     )
 
 

@@ -49,7 +49,7 @@ OUTCOME_UNITS = {
     "path_length": ("mm", "contact path"),
     "mean_removal": ("um", "removal, mean"),
     "spread": ("percent", "removal, spread (coarse nodes)"),
-    "ripple": ("percent", "removal, ripple (straight guide)"),
+    "ripple": ("percent", "removal, ripple"),
 }
 CLOSE = 1e-6  # a limit or bound nearer than this share of its size counts as reached
 

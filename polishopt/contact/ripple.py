@@ -1,188 +1,173 @@
 r"""Ripple: the periodic part of the removal, which the averaged map leaves out.
 
-Along a straight guide the trochoid repeats after every step p, and so does the removal.
-Its harmonics follow from the same footprint and the same loop as the average: a node of
-the footprint at (xi, eta), carried by the loop at phase phi, leaves its volume at
-x = s + o_x + xi, y = o_y + eta, and the n-th harmonic across the strip is
+Loop after loop the disc passes a step further on, and what its passes leave is a wave. A
+smooth footprint would leave next to none: ripple comes from the rim, where the pressure
+ends abruptly. Its strength follows in Fourier space. At the phase $\varphi = 2\pi s/p$ of
+the trochoid the removal has the harmonics
 
-$h_n(y) = \langle g(\phi) \sum_i W_i e^{-in(\phi + 2\pi(o_x + \xi_i)/p)}
-\delta(y - o_y - \eta_i)\rangle_\phi$
+$H_n(k) = \int e^{in 2\pi s/p - ik\cdot Q(s)}\, G_n(k)\, L_n(k)\, ds$
 
-with the node's volume rate W and the dwell g per length of guide. The strips of a guide
-that covers a part lie over each other with unrelated phases, so they add as independent
-sines do. Ignored: the bend of the guide within one loop, and the few percent that the
-feed adds to the speed under the spinning disc.
+with Q the way of the disc's centre as the guide alone would lead it, G the transform of
+the footprint about that centre and L that of the loop. The integral is stationary where
+the wave, seen from the centre, keeps step with the loops: $k \cdot V = 2\pi n/p$ with
+$V = dQ/ds$. Each length of guide then adds
+
+$\frac{2}{2\pi |V|} \int |G(k)|^2 |L_n(k)|^2\, dk_\perp$
+
+to the variance over the part. The centre hangs behind the contact point by the disc's
+radius, so wherever the guide bends by $\kappa$ the centre swings round and moves
+$|V| = \sqrt{1 + \kappa^2 R^2}$ times as fast. There neighbouring passes lie further apart,
+and most of the ripple of a guide with tight corners comes from its corners.
+
+Left out: that a turn adds or takes a part of a loop, which left and right turns undo; that
+the tool starts and stops somewhere; the few percent that the feed adds to the speed under
+the spinning disc. All of it counts where a corner holds no more than a loop or two.
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..parts import Scalar
+from ..parts import Process, Scalar, Tool
+from ..path.guide import Bends
+from .pressure import envelope
 
 
-# Resolution across the strip: converged to 0.5 % in the first harmonic and 2 % in the
-# second.
-WAVES = 16
-# Width of the periodic domain across the strip, in units of its half-width; above 2 the
-# strip does not meet its own image.
-DOMAIN = 2.5
-
-
-# Nodes in a row: more would be no more accurate, see `_bessel`.
-MOST_NODES = 8
+HARMONICS = 3
+# Directions of the waves, and intervals in which the phase of a loop is averaged.
+WAVES, INTERVALS = 24, 32
+# Sizes of a loop, in waves times 2 pi, between which its exact transform gives way to the
+# mean over a period of it: the exact one needs more intervals the larger the loop.
+EXACT, SMOOTH = 24.0, 48.0
 
 
 class Ripple(eqx.Module):
-    """Harmonics of the removal along the guide, across one strip."""
+    """Waves that the loops leave: by bend of the guide, harmonic, and direction."""
 
-    squares: Float[Array, "harmonics ny"]
-    """Squared amplitude of each harmonic at each place across the strip [mm^2]."""
-    wavelengths: Float[Array, " harmonics"]
-    """Period of each harmonic along the guide, p / n [mm]."""
-    spacing: Scalar
-    """Distance between the places across the strip [mm]."""
+    variances: Float[Array, "bends harmonics waves"]
+    """Variance of each wave, integrated across the strip of one pass [mm^3]."""
+    wavelengths: Float[Array, "bends harmonics waves"]
+    """Length of each wave [mm]."""
+    shares: Float[Array, " bends"]
+    """Share of the guide that bends like this [-]."""
+    width: Scalar
+    """Width of the strip, E [mm]."""
 
     def moments(
-        self, density: Scalar, transmission: Float[Array, " harmonics"] | None = None
+        self,
+        density: Scalar,
+        transmission: Float[Array, "bends harmonics waves"] | None = None,
     ) -> tuple[Scalar, Scalar]:
         r"""Second and fourth cumulant of the ripple on a covered part [mm^2, mm^4].
 
-        $\kappa_2 = \lambda\int \sum a_n^2/2\,dy$ and
-        $\kappa_4 = -\tfrac38 \lambda\int\sum a_n^4\,dy$: independent sines, of which
-        $\lambda$ strips per length lie side by side.
+        $\kappa_2 = \lambda \int a^2/2\,dy$ for a density $\lambda$ of strips that lie over
+        each other with unrelated phases, and $\kappa_4 = -\tfrac38\lambda\int a^4\,dy$ as
+        if each harmonic were one sine, evenly strong over its strip.
 
         Args:
             density: Length of guide per area of part, lambda [1/mm].
-            transmission: Share of each harmonic's amplitude that a roughness filter
-                lets through [-]; None for all of it.
+            transmission: Share of each wave's amplitude that a roughness filter lets
+                through [-]; None for all of it.
         """
-        squares = self.squares
+        variances = self.variances
         if transmission is not None:
-            squares = squares * (transmission**2)[:, None]
-        weight = density * self.spacing
-        return 0.5 * weight * jnp.sum(squares), -0.375 * weight * jnp.sum(squares**2)
-
-
-def _bessel(orders: int, x: Float[Array, "*n"]) -> list[Float[Array, "*n"]]:
-    """Spherical Bessel functions j_0, j_1 ... of the first few orders.
-
-    By upward recurrence, which for eight orders loses at most seven digits of sixteen
-    above the switch to the power series; each further order costs more.
-    """
-    small = jnp.abs(x) < 0.5
-    far = jnp.where(small, 1.0, x)
-    up = [jnp.sin(far) / far, jnp.sin(far) / far**2 - jnp.cos(far) / far]
-    for l in range(1, orders - 1):
-        up.append((2 * l + 1) / far * up[l] - up[l - 1])
-    near = jnp.where(small, x, 0.0)
-    result, double = [], 1.0
-    for l in range(orders):
-        double *= 2 * l + 1
-        term, total = jnp.ones_like(near), jnp.ones_like(near)
-        for k in range(1, 6):
-            term = term * (-0.5 * near**2) / (k * (2 * l + 2 * k + 1))
-            total = total + term
-        result.append(jnp.where(small, near**l / double * total, up[l]))
-    return result
-
-
-def _filon(nodes: int, x: Float[Array, "*n"]) -> Array:
-    r"""Factors that make a Gauss-Legendre rule exact for a polynomial times a wave.
-
-    $\sum_q w_q F_q(x) f(t_q) = \int_{-1}^1 f(t) e^{-ixt} dt$ with
-    $F_q = \sum_l (2l + 1)(-i)^l j_l(x) P_l(t_q)$: any wave number costs the same.
-    """
-    t = np.polynomial.legendre.leggauss(nodes)[0]
-    bessel = _bessel(nodes, x)
-    real, imaginary = jnp.zeros((*x.shape, nodes)), jnp.zeros((*x.shape, nodes))
-    real, imaginary = real.astype(x.dtype), imaginary.astype(x.dtype)
-    for l in range(nodes):
-        legendre = np.polynomial.legendre.Legendre.basis(l)(t)
-        row = jnp.asarray((2 * l + 1) * legendre, dtype=x.dtype)
-        part = bessel[l][..., None] * row.reshape(*([1] * x.ndim), -1)
-        sign = (1.0, -1.0, -1.0, 1.0)[l % 4]
-        if l % 2:
-            imaginary = imaginary + sign * part
-        else:
-            real = real + sign * part
-    return jax.lax.complex(real, imaginary)
+            variances = variances * transmission**2
+        harmonics = jnp.sum(variances, axis=2)
+        second = jnp.sum(self.shares * jnp.sum(harmonics, axis=1))
+        fourth = jnp.sum(self.shares * jnp.sum(harmonics**2, axis=1)) / self.width
+        return density * second, -1.5 * density * fourth
 
 
 def ripple(
-    offsets: Float[Array, "rows columns 2"],
-    rates: Float[Array, "rows columns"],
-    dwell: Float[Array, " phases"],
-    step: Scalar,
-    trochoid_radius: Scalar,
-    reach: Scalar,
-    harmonics: int = 2,
-    panels: int = 1,
+    process: Process,
+    tool: Tool,
+    preston: Scalar,
+    bends: Bends,
+    curvature: Float[Array, "2 2"],
+    pace: Scalar,
+    volume: Scalar,
+    lean: float = 1.0,
 ) -> Ripple:
-    """Harmonics of the removal of a trochoid on a straight guide.
+    r"""Waves that one run of a trochoid leaves.
+
+    The rim is an ellipse in the tangent plane, and the transform of the footprint there is
+    that of its abrupt edges: $|G|^2 = \sum 2\pi\rho\, w^2/k^3$ over the two places where
+    the rim runs along the crests, with its radius of curvature $\rho$ and the removal rate
+    w at the edge. No wave can be larger than the footprint's whole volume.
 
     Args:
-        offsets: Nodes of the footprint from the contact point, along and across the
-            guide, at least two in a row; the nodes of a row share their place across and
-            are those of a Gauss-Legendre rule, as in `pressure.patch` [mm].
-        rates: Volume that each node removes per time [mm^3/s].
-        dwell: Time per length of guide at evenly spaced phases of the loop; its mean is
-            the time that the tool takes per length [s/mm].
-        step: Step of the trochoid, p [mm].
-        trochoid_radius: Radius of its circle, D_tr [mm].
-        reach: Largest distance of a node across the guide [mm].
-        harmonics: How many harmonics.
-        panels: How many such rules lie side by side in each row.
+        process: Tilt, displacement, step, trochoid radius and spindle speed are read.
+        tool: Radius and foundation are read.
+        preston: Preston coefficient, $K_P$ [1/MPa].
+        bends: How the guide bends, and which way it runs from the lean of the axis.
+        curvature: Normal curvature of the part along (feed, left), convex positive [1/mm].
+        pace: Time per length of guide, rms over the loop [s/mm].
+        volume: Volume that the footprint removes per time [mm^3/s].
+        lean: +1 where the axis leans towards the feed (pulling), -1 away (pushing).
 
-    Raises:
-        ValueError: if a row has less than 2 or more than 8 nodes.
-
-    Source: own derivation; the loop is S0 (Pessoles & Tournier 2009) eq. (5).
+    Source: own derivation, stationary phase; the loop is S0 (Pessoles & Tournier 2009)
+        eq. (5).
     """
-    real = offsets.dtype
-    wave = 2 * jnp.pi / step
-    order = jnp.asarray(np.arange(1, harmonics + 1), dtype=real)
-    phases = dwell.shape[0]
-    phase = jnp.asarray(2 * np.pi * np.arange(phases) / phases, dtype=real)
-    ahead = trochoid_radius * jnp.sin(phase)  # of the guide point, along the guide
-    beside = trochoid_radius * jnp.cos(phase)
-    domain = DOMAIN * (trochoid_radius + reach)
-    across = jnp.asarray(np.fft.fftfreq(2 * WAVES) * 2 * WAVES, dtype=real)
-    across = across * (2 * jnp.pi / domain)
+    radius, level, slope = tool.radius, jnp.cos(process.tilt), jnp.sin(process.tilt)
+    real = radius.dtype
+    nodes, weights = np.polynomial.legendre.leggauss(WAVES)
+    angle = jnp.asarray(np.pi / 2 * nodes, dtype=real)  # of a wave, from V
+    weight = jnp.asarray(np.pi / 2 * weights, dtype=real)
+    order = jnp.asarray(np.arange(1, HARMONICS + 1), dtype=real)
 
-    def turn(angle):  # exp(-i angle)
-        return jax.lax.complex(jnp.cos(angle), -jnp.sin(angle))
+    # V from the guide's tangent: the centre lies a radius behind the contact point
+    swing = -lean * bends.curvature * radius * level
+    swift = jnp.sqrt(1 + swing**2)
+    along = 2 * jnp.pi / process.step * order[None, :] / swift[:, None]
+    k = along[:, :, None] / jnp.cos(angle)[None, None, :]
+    heading = (bends.aspect + jnp.arctan(swing))[:, None] + angle[None, :]
 
-    def complex_(x):
-        return jax.lax.complex(x, jnp.zeros_like(x))
+    # the rim's normal points where the wave runs, or back
+    reach = jnp.sqrt((level * jnp.cos(heading)) ** 2 + jnp.sin(heading) ** 2)
+    towards = -lean * level * jnp.cos(heading) / reach  # from the centre, in the disc
+    beside = jnp.sin(heading) / reach
+    rim_radius = radius * level**2 / reach**3
 
-    lag = order[:, None] * (phase + wave * ahead)[None, :]
-    loop = turn(lag) * complex_(dwell)[None, :]
-    loop = loop @ turn(beside[:, None] * across[None, :]) / phases
-    rows = jnp.zeros((harmonics, offsets.shape[0]), dtype=lag.dtype)
-    rows = complex_(rows)
-    count = offsets.shape[1] // panels
-    if not 2 <= count <= MOST_NODES:
-        raise ValueError(
-            f"`ripple(offsets=...)` has {count} nodes in a row, must have 2 to "
-            f"{MOST_NODES}."
-        )
-    ends = np.polynomial.legendre.leggauss(count)[0]
-    for part in range(panels):
-        nodes = slice(part * count, (part + 1) * count)
-        xi = offsets[:, nodes, 0]
-        middle = 0.5 * (xi[:, 0] + xi[:, -1])
-        half = (xi[:, -1] - xi[:, 0]) / (ends[-1] - ends[0])
-        factor = _filon(count, wave * order[:, None] * half[None, :])
-        panel = jnp.sum(complex_(rates[:, nodes])[None] * factor, axis=2)
-        rows = rows + panel * turn(wave * order[:, None] * middle[None, :])
-    eta = offsets[:, 0, 1]
-    footprint = rows @ turn(eta[:, None] * across[None, :])
-    profile = jnp.fft.ifft(loop * footprint, axis=1) / complex_(domain / (2 * WAVES))
-    return Ripple(
-        squares=4 * (profile.real**2 + profile.imag**2),
-        wavelengths=step / order,
-        spacing=domain / (2 * WAVES),
+    def rate(sign):
+        x = radius * (1 + sign * towards)  # from the contact point, in the disc
+        d = jnp.stack([-lean * level * x, sign * radius * beside], axis=-1)
+        sunk = jnp.einsum("...a,ab,...b->...", d, curvature, d)
+        depth = process.displacement - slope * x - 0.5 * sunk
+        return tool.foundation * jnp.maximum(depth, 0.0) * preston * process.spin * radius
+
+    edge = 2 * jnp.pi * rim_radius * (rate(1.0) ** 2 + rate(-1.0) ** 2)
+    edge = edge[:, None, :] / k**3
+    whole = edge + volume**2
+    some = whole > 0
+    footprint = jnp.where(some, edge * volume**2 / jnp.where(some, whole, 1.0), 0.0)
+
+    loop = jnp.stack(
+        [_loop(n + 1, process.trochoid_radius * k[:, n]) for n in range(HARMONICS)], axis=1
     )
+    # dk across V, over 2 pi |V|; both signs of n
+    measure = k / jnp.cos(angle)[None, None, :] * weight[None, None, :]
+    measure = measure / (jnp.pi * swift)[:, None, None]
+    return Ripple(
+        variances=pace**2 * footprint * loop * measure,
+        wavelengths=2 * jnp.pi / k,
+        shares=bends.share,
+        width=envelope(radius, process),
+    )
+
+
+def _loop(order: int, x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    r"""Squared transform of a circle run through once, $J_n(x)^2$; its mean for large x.
+
+    The mean over a period is $1/(\pi\sqrt{x^2 - n^2})$.
+    """
+    phase = np.pi / INTERVALS * np.arange(INTERVALS + 1)
+    ends = np.where(np.arange(INTERVALS + 1) % INTERVALS == 0, 0.5, 1.0) / INTERVALS
+    flat = jnp.minimum(x, SMOOTH).reshape(-1, 1)
+    lag = flat * jnp.asarray(np.sin(phase), dtype=x.dtype)[None, :]
+    turned = jnp.asarray(order * phase, dtype=x.dtype)[None, :] - lag
+    bessel = (jnp.cos(turned) @ jnp.asarray(ends, dtype=x.dtype)).reshape(x.shape)
+    mean = 1 / (jnp.pi * jnp.sqrt(jnp.maximum(x, EXACT) ** 2 - order**2))
+    t = jnp.clip((x - EXACT) / (SMOOTH - EXACT), 0.0, 1.0)
+    share = t * t * (3 - 2 * t)
+    return (1 - share) * bessel**2 + share * mean

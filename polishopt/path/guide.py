@@ -43,6 +43,17 @@ class GuidePoint(eqx.Module):
     """Change of heading per length, positive to the left [1/mm]."""
 
 
+class Bends(eqx.Module):
+    """How much of a guide bends how much, for sums over it that ask nothing else."""
+
+    curvature: Float[Array, " n"]
+    """Size of the curvature [1/mm]."""
+    aspect: Float[Array, " n"]
+    """Heading, from the direction in which the tool axis leans [rad]."""
+    share: Float[Array, " n"]
+    """Share of the guide's length; they add up to one [-]."""
+
+
 class Cells(eqx.Module):
     """What a guide knows about the surroundings of each vertex, in units of the pitch."""
 
@@ -124,6 +135,43 @@ class Guide(eqx.Module):
             position=self.pitch * position,
             heading=cell.heading + cell.turn * heading,
             curvature=cell.turn * curvature / self.pitch,
+        )
+
+    def bends(self, per_corner: int = 5) -> Bends:
+        """The straight part and the bends, for a tool axis that leans along the guide.
+
+        Args:
+            per_corner: Curvatures that stand for those of a half corner.
+        """
+        nodes, weights = np.polynomial.legendre.leggauss(per_corner)
+        t = as_array((nodes + 1) / 4)  # a corner is its own mirror image
+        arc = self.fillet * LENGTH[self.corner]
+        curvature = jax.vmap(lambda t: unit_corner(self.corner, t)[3])(t)
+        curvature = curvature / (self.fillet or 1.0) / self.pitch
+        corners = jnp.sum(jnp.abs(self.cells.turn)) * arc / self.cells.end[-1]
+        return Bends(
+            curvature=jnp.pad(curvature, (1, 0)),
+            aspect=jnp.zeros(per_corner + 1, dtype=t.dtype),
+            share=jnp.concatenate([(1 - corners)[None], corners * as_array(weights / 2)]),
+        )
+
+    def compass(self) -> Bends:
+        """The four directions, for a tool axis that always leans along x.
+
+        The axis does not turn with the guide, so its corners count as straight: half to
+        the edge that enters and half to the one that leaves.
+        """
+        cells = self.cells
+        half = 0.5 * (cells.end - cells.start)
+        quarter = jnp.round((cells.heading - cells.heading[0]) / (0.5 * jnp.pi))
+        quarters = jnp.stack([quarter, quarter + cells.turn]) % 4
+        directions = jnp.arange(4, dtype=half.dtype)
+        same = quarters[:, :, None] == directions[None, None, :]
+        share = jnp.sum(jnp.where(same, half[None, :, None], 0.0), axis=(0, 1))
+        return Bends(
+            curvature=jnp.zeros_like(share),
+            aspect=cells.heading[0] + 0.5 * jnp.pi * directions,
+            share=share / cells.end[-1],
         )
 
     def stations(self, per_panel: int) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
