@@ -8,8 +8,8 @@ import pytest
 from helpers import assert_close, assert_gradient
 from polishopt.contact import pressure, removal
 from polishopt.contact.ripple import ripple
-from polishopt.path.guide import Bends
 from polishopt.parts import Process, Tool
+from polishopt.path.guide import Bends
 
 
 superpose = eqx.filter_jit(removal.superpose)
