@@ -6,13 +6,14 @@ The second goes on from there to the least time (or force) on the set where the 
 met exactly. Where the first stage cannot reach the target, its answer is the nearest
 texture that the limits allow, and the limits with multipliers are the ones in the way.
 
-All starts run side by side under one `vmap`: the given one, and a scrambled Sobol
-sequence over the bounds.
+The starts are the given one and a scrambled Sobol sequence over the bounds. They run side
+by side under `vmap`, a few at a time; the cheapest of those that reach the target go on.
 """
 
 import dataclasses
 import enum
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
 import jax
@@ -35,7 +36,9 @@ HIT = 1e-3
 TOLERANCE = 1e-6
 # Rounds of multipliers, and trial points in each. All starts wait for the last one, and
 # the few that have not ended by then are lost in a corner that others avoid.
-ROUNDS, TRIALS = 6, 6
+ROUNDS, TRIALS = 10, 10
+# Searches side by side under one `vmap`, and answers from which the cheapest is sought.
+TOGETHER, CHEAPEST = 4, 8
 
 
 class Goal(eqx.Module):
@@ -201,7 +204,10 @@ class _Stage(eqx.Module):
 
 @eqx.filter_jit
 def _search(places, lower, upper, stage: _Stage, secondary, tolerance, chain) -> Solution:
-    """One search from each place, side by side; both stages share the compilation."""
+    """One search from each place, side by side; both stages share the compilation.
+
+    The chain comes jitted: however often the solver calls it, it is traced once.
+    """
 
     def values(x, stage):
         outcome = chain(dataclasses.replace(stage.fixed, **x), stage.setup)
@@ -225,10 +231,38 @@ def _search(places, lower, upper, stage: _Stage, secondary, tolerance, chain) ->
             upper,
             args=stage,
             tolerance=tolerance,
-            max_outer=10,
-            max_inner=10,
+            max_outer=ROUNDS,
+            max_inner=TRIALS,
         )
     )(places)
+
+
+def _in_batches(
+    search, places: Mapping[str, Float[Array, " starts"]], size: int
+) -> Solution:
+    """Searches from all places, `size` of them at a time, on the host.
+
+    A batch ends with its slowest search, so small batches wait less; and two of them run
+    at once, since one alone does not keep two cores busy.
+    """
+    count = len(next(iter(places.values())))
+    # the last batch is filled up with its last place
+    index = np.minimum(np.arange(-(-count // size) * size), count - 1).reshape(-1, size)
+
+    def batch(chosen):
+        return jax.device_get(search({n: x[chosen] for n, x in places.items()}))
+
+    first = batch(index[0])  # compiles
+    with ThreadPoolExecutor(2) as pool:
+        parts = [first, *pool.map(batch, index[1:])]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
+
+
+def _put(values, where, new):
+    """A copy of an array with some of its rows replaced."""
+    values = np.array(values)
+    values[where] = new
+    return values
 
 
 def _cost(outcome: Outcome, secondary: str) -> Scalar:
@@ -292,34 +326,53 @@ def tune(
     outcome = eqx.filter_jit(chain)
     unit = jnp.maximum(_cost(outcome(start, setup), secondary), 1e-12)
 
+    # an accelerator takes all starts at once
+    together = min(starts, TOGETHER if jax.default_backend() == "cpu" else starts)
+
+    def search(places, weight):
+        stage = _Stage(setup, start, dict(target), limits, weight, unit)
+
+        def some(part):
+            return _search(part, lower, upper, stage, secondary, tolerance, outcome)
+
+        return _in_batches(some, places, together)
+
+    def cost_at(i):
+        x = {name: as_scalar(column[i]) for name, column in final.x.items()}
+        return float(_cost(outcome(dataclasses.replace(start, **x), setup), secondary))
+
     say(f"reaching for the target from {starts} starts")
-    stage = _Stage(setup, start, dict(target), limits, jnp.zeros_like(unit), unit)
-    near = jax.device_get(_search(places, lower, upper, stage, secondary, tolerance, chain))
-    distance = np.max(np.abs(near.residual[0]), axis=1)
-    hit = (distance <= HIT) & (near.status == Status.SOLVED)
+    final = search(places, jnp.zeros_like(unit))
+    distance = np.max(np.abs(final.residual[0]), axis=1)
+    hit = (distance <= HIT) & (final.status == Status.SOLVED)
     say(f"{int(np.sum(hit))} of {starts} starts reach it")
     solved, at_cost = bool(np.any(hit)), False
-    final, cost = near, np.zeros_like(distance)
+    cost = np.zeros_like(distance)
     # where nothing reaches the target: the least miss that keeps the limits, or failing
     # that the least violation
-    kept = near.status == Status.SOLVED
-    rank = np.where(kept, near.objective, np.inf) if kept.any() else near.scaled_violation
+    kept = final.status == Status.SOLVED
+    rank = np.where(kept, final.objective, np.inf)
+    if not kept.any():
+        rank = final.scaled_violation
     if solved:
         rank = np.where(hit, distance, np.inf)
     if solved and secondary != "none":
-        say(f"looking for the least {secondary} among the answers")
-        stage = eqx.tree_at(lambda s: s.weight, stage, jnp.ones_like(unit))
-        held = jax.device_get(
-            _search(near.x, lower, upper, stage, secondary, tolerance, chain)
-        )
+        cost = np.asarray([cost_at(i) for i in range(starts)])
+        cheapest = np.argsort(np.where(hit, cost, np.inf))[: min(CHEAPEST, hit.sum())]
+        say(f"looking for the least {secondary} from the {len(cheapest)} cheapest answers")
+        held = search({n: x[cheapest] for n, x in final.x.items()}, jnp.ones_like(unit))
         far = np.max(np.abs(held.equality), axis=1)
         good = (held.status == Status.SOLVED) & (far <= HIT)
+        held = dataclasses.replace(
+            held, evaluations=held.evaluations + final.evaluations[cheapest]
+        )
         # else the target is reached, only not at the least cost: the first stage stands
-        if good.any():
-            final, distance, at_cost = held, far, True
-            cost = held.residual[1] * float(unit)
-            rank = np.where(good, cost, np.inf)
-    evaluations = near.evaluations + (final.evaluations if at_cost else 0)
+        at_cost = bool(good.any())
+        if at_cost:
+            final = jax.tree.map(lambda a, b: _put(a, cheapest, b), final, held)
+            distance = _put(distance, cheapest, far)
+            cost = _put(cost, cheapest, held.residual[1] * float(unit))
+            rank = _put(np.full(starts, np.inf), cheapest[good], cost[cheapest[good]])
     best = int(np.argmin(np.where(np.isnan(rank), np.inf, rank)))
     # the loops above ran on the host; what is handed out are JAX arrays again
     final, distance, cost = jax.tree.map(jnp.asarray, (final, distance, cost))
@@ -354,5 +407,5 @@ def tune(
         distances=distance,
         costs=cost,
         statuses=final.status,
-        evaluations=jnp.asarray(evaluations),
+        evaluations=jnp.asarray(final.evaluations),
     )
