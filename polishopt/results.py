@@ -71,8 +71,11 @@ def write(
     run = eqx.filter_jit(resolved.run)(process, setup, samples)
     heights, extent = texture_patch(tuning, job, loaded.config)
     title = f"Texture drawn by polishopt, not measured: {loaded.config.title}"
-    spacing = tuple(extent / heights.shape)
-    write_topography(target / "texture.x3p", Topography(heights, spacing, title))
+    start = loaded.config.start
+    if start.file or start.milled or start.roughness:
+        title += "; without what is left of the start surface"
+    dy, dx = (extent / heights.shape).tolist()
+    write_topography(target / "texture.x3p", Topography(heights, (dy, dx), title))
     # the search needs sums over the part; a map wants more nodes
     close = eqx.tree_at(lambda s: s.sampling, setup, FINE)
     removal = eqx.filter_jit(lambda p, s: polish(p, s).removal)(process, close)

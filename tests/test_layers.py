@@ -20,7 +20,7 @@ setup chain resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.auglag optimize.tune optimize.sensitivity optimize
 files
-plots report results session fit sensitivity __main__
+plots report results session fit sensitivity measure texture.__main__
 """
 ORDER = FLOORS.split()
 TOP = set(ORDER[ORDER.index("files") + 1 :])

@@ -51,7 +51,7 @@ def read_x3p(path: Path) -> Topography:
     about, instrument = file.metadata, ""
     if about is not None:
         made = about.instrument
-        instrument = " ".join(filter(None, (made.manufacturer, made.model)))
+        instrument = " ".join(filter(None, dict.fromkeys((made.manufacturer, made.model))))
     return Topography(
         _in_millimetres(np.atleast_2d(layer.z)),
         (dy * MILLIMETRES, dx * MILLIMETRES),
@@ -132,8 +132,13 @@ def read_other(path: Path) -> Topography:
             "package SurfaceTopography: pip install 'polishopt[metrology]'"
         )
         raise TopographyError(path, sentence) from None
-    with open_topography(str(path)) as file:
-        surface = file.topography()
+    try:
+        with open_topography(str(path)) as file:
+            surface = file.topography()
+    except Exception:
+        # it lists what every one of its forty readers had to say
+        sentence = "is in no format that SurfaceTopography reads, or damaged"
+        raise TopographyError(path, sentence) from None
     if surface.dim != 2 or not surface.is_uniform:
         raise TopographyError(path, "holds no surface on a regular grid")
     if surface.unit is None:
