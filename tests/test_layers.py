@@ -14,7 +14,9 @@ units parts
 path.surface path.corner path.guide path.trochoid path.toolpath path
 machine.kinematics machine.sweep machine.feed machine.loop machine
 contact.pressure contact.removal contact.ripple contact
-texture.areal texture.milling texture.planarisation texture.scratches texture.evolution
+texture.filters texture.areal texture.hybrid texture.spatial texture.functional
+texture.feature texture.uncertainty texture.parameters
+texture.milling texture.planarisation texture.scratches texture.evolution
 texture
 setup chain resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
