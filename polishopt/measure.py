@@ -149,6 +149,7 @@ def measure(surface: Topography, given: argparse.Namespace, target: Path) -> Non
         given: The arguments of the command line.
         target: Folder for the results; exists.
     """
+    import equinox as eqx
     import jax.numpy as jnp
     import numpy as np
     from rich.console import Console
@@ -167,8 +168,8 @@ def measure(surface: Topography, given: argparse.Namespace, target: Path) -> Non
         given.l_filter_mm,
     )
     with Console(stderr=True, quiet=given.quiet).status("measuring"):
-        values = dict(scalars(areal_parameters(heights, spacing)))
-        errors = dict(scalars(standard_errors(heights, spacing)))
+        values = dict(scalars(eqx.filter_jit(areal_parameters)(heights, spacing)))
+        errors = dict(scalars(eqx.filter_jit(standard_errors)(heights, spacing)))
     rows = list(table(values, errors))
     asked = filters(given)
     sides = " x ".join(f"{side:.4g}" for side in reversed(surface.extent))
@@ -205,9 +206,9 @@ def measure(surface: Topography, given: argparse.Namespace, target: Path) -> Non
         shown.add_row(row.parameter, label(row.unit), value, error, row.meaning)
     console.print(shown)
     console.print(
-        "± is one standard error: so much another place on the surface would differ. The "
-        f"surface has about {errors['independent_points']:.3g} independent points. "
-        f"Results are in {target}."
+        "± is one standard error: so much another place on a random texture would differ, "
+        f"here with about {errors['independent_points']:.3g} independent points. Where a "
+        f"texture repeats itself it is only a hint. Results are in {target}."
     )
 
 
