@@ -202,7 +202,7 @@ def measure(surface: Topography, given: argparse.Namespace, target: Path) -> Non
     shown = report.empty_table("Texture", "", "unit", "value", "±", "meaning")
     shown.columns[-1].justify = "left"
     for row in rows:
-        value, error = known(row.value, ".5g") or "none", known(row.standard_error, ".2g")
+        value, error = known(row.value, ".5g") or "–", known(row.standard_error, ".2g")
         shown.add_row(row.parameter, label(row.unit), value, error, row.meaning)
     console.print(shown)
     console.print(

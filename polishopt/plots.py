@@ -330,7 +330,9 @@ def topography(
     _name(over, "x", "y", "mm", "mm")
     over.set_title(title)
 
-    through.plot((np.arange(nx) + 0.5) * wide / nx, values[ny // 2], color=BLUE)
+    through.plot(
+        (np.arange(nx) + 0.5) * wide / nx, values[ny // 2], color=BLUE, linewidth=0.8
+    )
     through.set_xlim(0, wide)
     _name(through, "x", "height", "mm", unit)
     through.set_title("Profile along the dashed line")
