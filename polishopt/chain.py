@@ -31,14 +31,9 @@ from .parts import Process, Scalar
 from .path.surface import area_stretch, curvature, tangent_to_parameter
 from .path.toolpath import posture
 from .setup import Setup
-from .texture.areal import (
-    Cumulants,
-    cumulants,
-    gaussian_transmission,
-    transmit,
-    wavelengths,
-)
+from .texture.areal import Cumulants, cumulants
 from .texture.evolution import Texture, combine
+from .texture.filters import gaussian_transmission, transmit, wavelengths
 from .texture.planarisation import asperity_stiffness, planarise
 from .texture.scratches import decay, decay_rate, groove_cumulants
 

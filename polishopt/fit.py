@@ -26,7 +26,7 @@ def main(argv: list[str] | None = None) -> int:
         return BAD_INPUT
     if given.check:
         if not given.quiet:
-            print(describe(loaded.config))
+            print(describe(loaded.config, loaded.measured))
         return 0
     target = given.output or Path("runs") / given.config.stem
     if not folder(target):
@@ -59,6 +59,8 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
         told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {sentence}")
 
     say(f"reading {loaded.path}")
+    if loaded.measured:
+        say(f"starting from {loaded.measured}")
     preload("scipy.stats", "polishopt.plots", "xarray", "h5netcdf")
     job = assemble(loaded.config)
     solver = loaded.config.solver

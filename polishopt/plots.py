@@ -300,6 +300,45 @@ def texture(
     return figure
 
 
+def topography(
+    heights: Float[Numbers, "ny nx"], extent: Float[Numbers, "2"], title: str = ""
+) -> Figure:
+    """A measured surface, and the profile along its middle row.
+
+    Colours span all but the outer 0.4 % of the heights, so that a spike does not wash out
+    the rest; points without a height are white.
+
+    Args:
+        heights: Heights, rows along y, NaN where not measured, not everywhere [mm].
+        extent: Sides along y and x [mm].
+        title: What it is.
+    """
+    unit, values = label("um"), _shown(heights, "um")
+    values = values - np.nanmean(values)
+    tall, wide = (float(side) for side in extent)
+    low, high = np.nanquantile(values, (0.002, 0.998))
+
+    figure = Figure((11, 5), layout="constrained")
+    over, through = figure.subplots(1, 2, width_ratios=(1.1, 1))
+    image = over.imshow(
+        values, origin="lower", extent=(0, wide, 0, tall), cmap=MAP, vmin=low, vmax=high
+    )
+    figure.colorbar(image, ax=over, label=f"height [{unit}]", shrink=0.85, extend="both")
+    ny, nx = values.shape
+    middle = (ny // 2 + 0.5) * tall / ny
+    over.axhline(middle, color="white", linestyle="--", linewidth=1)
+    _name(over, "x", "y", "mm", "mm")
+    over.set_title(title)
+
+    through.plot(
+        (np.arange(nx) + 0.5) * wide / nx, values[ny // 2], color=BLUE, linewidth=0.8
+    )
+    through.set_xlim(0, wide)
+    _name(through, "x", "height", "mm", unit)
+    through.set_title("Profile along the dashed line")
+    return figure
+
+
 def sensitivities(
     matrix: Float[Numbers, "rows columns"], rows: Sequence[str], columns: Sequence[str]
 ) -> Figure:

@@ -132,7 +132,8 @@ def show(console: Console, tuning: Tuning, job: Job, loaded: Loaded) -> None:
     console.print(verdict(tuning))
 
 
-def _table(title: str, *columns: str) -> Table:
+def empty_table(title: str, *columns: str) -> Table:
+    """A table without rows: the first column to the left, all others to the right."""
     table = Table(title=title, title_justify="left", title_style="bold", box=None)
     for i, column in enumerate(columns):
         table.add_column(column, justify="left" if i == 0 else "right", no_wrap=True)
@@ -140,7 +141,7 @@ def _table(title: str, *columns: str) -> Table:
 
 
 def _settings(tuning: Tuning, config: Config) -> Table:
-    table = _table("Settings", "", "symbol", "unit", "start", "answer", "bounds", "")
+    table = empty_table("Settings", "", "symbol", "unit", "start", "answer", "bounds", "")
     found = answers(tuning, config)
     for key, value in config.process:
         unit = suffix(key)
@@ -164,7 +165,7 @@ def _settings(tuning: Tuning, config: Config) -> Table:
 
 
 def _texture(tuning: Tuning, job: Job) -> Table:
-    table = _table("Texture", "", "unit", "target", "reached", "miss in tolerances")
+    table = empty_table("Texture", "", "unit", "target", "reached", "miss in tolerances")
     for name, goal in job.target.items():
         unit = OUTCOME_UNITS.get(name, ("", ""))[0]
         aim = from_internal(float(goal.value), unit)
@@ -175,7 +176,7 @@ def _texture(tuning: Tuning, job: Job) -> Table:
 
 
 def _limits(tuning: Tuning, job: Job) -> Table:
-    table = _table("Limits", "", "unit", "left", "", "one unit more is worth")
+    table = empty_table("Limits", "", "unit", "left", "", "one unit more is worth")
     solved = int(tuning.verdict) == Verdict.SOLVED
     for name, excess in tuning.excesses.items():
         unit = LIMIT_UNITS[name]
@@ -195,7 +196,7 @@ def _limits(tuning: Tuning, job: Job) -> Table:
 
 
 def _outcomes(tuning: Tuning) -> Table:
-    table = _table("Outcome", "", "unit", "value")
+    table = empty_table("Outcome", "", "unit", "value")
     for name, (unit, meaning) in OUTCOME_UNITS.items():
         value = from_internal(float(getattr(tuning.outcome, name)), unit)
         table.add_row(meaning, label(unit), f"{value:.4g}")

@@ -19,6 +19,7 @@ from .files.assemble import Job
 from .files.config import Config, Loaded, optimum
 from .files.document import write_text
 from .files.results import write_json, write_maps, write_sensitivity
+from .files.topography import Topography, write as write_topography
 from .optimize.sensitivity import OUTCOMES, sensitivities
 from .optimize.tune import Tuning, Verdict
 from .parts import Process
@@ -59,7 +60,8 @@ def write(
     """
     numbers(tuning, job, loaded, target)
     write_text(
-        target / "optimum.yaml", optimum(loaded, report.answers(tuning, loaded.config))
+        target / "optimum.yaml",
+        optimum(loaded, report.answers(tuning, loaded.config), target),
     )
     say("drawing the sensitivities")
     write_sensitivities(job, tuning.process, target)
@@ -68,6 +70,12 @@ def write(
     samples = resolved.samples(process, setup)
     run = eqx.filter_jit(resolved.run)(process, setup, samples)
     heights, extent = texture_patch(tuning, job, loaded.config)
+    title = f"Texture drawn by polishopt, not measured: {loaded.config.title}"
+    start = loaded.config.start
+    if start.file or start.milled or start.roughness:
+        title += "; without what is left of the start surface"
+    dy, dx = (extent / heights.shape).tolist()
+    write_topography(target / "texture.x3p", Topography(heights, (dy, dx), title))
     # the search needs sums over the part; a map wants more nodes
     close = eqx.tree_at(lambda s: s.sampling, setup, FINE)
     removal = eqx.filter_jit(lambda p, s: polish(p, s).removal)(process, close)

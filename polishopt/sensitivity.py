@@ -22,7 +22,7 @@ def main(argv: list[str] | None = None) -> int:
         return BAD_INPUT
     if given.check:
         if not given.quiet:
-            print(describe(loaded.config))
+            print(describe(loaded.config, loaded.measured))
         return 0
     target = given.output or Path("runs") / given.config.stem
     if not folder(target):

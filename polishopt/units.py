@@ -35,6 +35,7 @@ UNITS = {
     "GPa": 1e3,
     "1_Pa": 1e6,
     "1_mm": 1.0,
+    "1_mm2": 1.0,
     "percent": 1e-2,
 }
 
@@ -55,6 +56,7 @@ LABELS = {
     "N_mm3": "N/mm³",
     "1_Pa": "1/Pa",
     "1_mm": "1/mm",
+    "1_mm2": "1/mm²",
     "percent": "%",
 }
 

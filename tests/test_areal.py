@@ -9,11 +9,10 @@ from polishopt.texture.areal import (
     Cumulants,
     Sa_estimate,
     cumulants,
-    gaussian_filter,
-    gaussian_transmission,
     height_parameters,
     parameters_from_cumulants,
 )
+from polishopt.texture.filters import gaussian_filter, gaussian_transmission
 from scipy import ndimage, special, stats
 
 

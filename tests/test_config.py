@@ -255,7 +255,19 @@ BAD = {
     ),
     "nothing_at_start": (
         "  scratches: {abrasive: P600, pressure_MPa: 0.05}", "  {}", 20, 1,
-        "at least one of 'milled', 'scratches' and 'roughness'",
+        "start must hold 'file' or at least one of 'milled', 'scratches' and 'roughness'",
+    ),
+    "start_measured_and_more": (
+        "target:", "  file: surface.x3p\ntarget:", 22, 9,
+        "must stand alone: a measured surface holds everything",
+    ),
+    "start_file_missing": (
+        "scratches: {abrasive: P600, pressure_MPa: 0.05}", "file: none.x3p", 21, 9,
+        "none.x3p: there is no such file",
+    ),
+    "start_file_is_no_text": (
+        "scratches: {abrasive: P600, pressure_MPa: 0.05}", "file: 3", 21, 9,
+        "start.file is 3, must be text",
     ),
     "start_said_twice": (
         "target:", "  roughness: {Sq_nm: 30}\ntarget:", 22, 3,

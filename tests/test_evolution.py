@@ -10,11 +10,11 @@ from helpers import assert_close, assert_gradient
 from polishopt.parts import Abrasive
 from polishopt.texture.areal import (
     Cumulants,
-    gaussian_transmission,
     height_parameters,
     parameters_from_cumulants,
 )
 from polishopt.texture.evolution import combine, draw_patch, ripple_cumulants
+from polishopt.texture.filters import gaussian_transmission
 from polishopt.texture.planarisation import (
     asperity_stiffness,
     pad_pressure,

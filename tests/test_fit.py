@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from polishopt.files.topography import read
 from ruamel.yaml import YAML
 
 
@@ -103,6 +104,7 @@ def test_fit_leaves_every_file_and_no_half_ones(fitted):
         "result.json",
         "optimum.yaml",
         "maps.nc",
+        "texture.x3p",
         "sensitivity.csv",
         "sensitivity.png",
         "path.png",
@@ -120,6 +122,18 @@ def test_optimum_is_a_config_that_starts_at_the_answer(fitted):
     written = YAML().load(text)["process"]["tilt_deg"]["start"]
     result = json.loads((target / "result.json").read_text())
     assert written == pytest.approx(result["answers"]["tilt_deg"], rel=1e-5)
+
+
+def test_a_metrologist_can_open_the_texture(fitted):
+    """The drawn patch in a surface file, in the units of that file."""
+    xarray = pytest.importorskip("xarray")
+    target, _ = fitted
+    patch = read(target / "texture.x3p")
+    assert "drawn by polishopt" in patch.title
+    with xarray.open_dataset(target / "maps.nc", engine="h5netcdf") as maps:
+        heights, along_x = maps["texture"].to_numpy(), maps["patch_x"].to_numpy()
+    np.testing.assert_allclose(patch.heights, heights, rtol=1e-15)
+    np.testing.assert_allclose(patch.spacing[1], along_x[1] - along_x[0], rtol=1e-9)
 
 
 def test_maps_carry_units(fitted):

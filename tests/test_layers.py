@@ -14,13 +14,15 @@ units parts
 path.surface path.corner path.guide path.trochoid path.toolpath path
 machine.kinematics machine.sweep machine.feed machine.loop machine
 contact.pressure contact.removal contact.ripple contact
-texture.areal texture.milling texture.planarisation texture.scratches texture.evolution
+texture.filters texture.areal texture.hybrid texture.spatial texture.functional
+texture.feature texture.uncertainty texture.parameters
+texture.milling texture.planarisation texture.scratches texture.evolution
 texture
 setup chain resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.auglag optimize.tune optimize.sensitivity optimize
 files
-plots report results session fit sensitivity __main__
+plots report results session fit sensitivity measure texture.__main__
 """
 ORDER = FLOORS.split()
 TOP = set(ORDER[ORDER.index("files") + 1 :])

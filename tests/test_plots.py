@@ -169,6 +169,25 @@ def test_texture(log):
     assert figure.axes[1].get_yscale() == ("log" if log else "linear")
 
 
+def test_topography_leaves_out_spikes_and_holes():
+    heights = 1e-3 * np.sin(np.arange(40.0))[:, None] * np.ones(60)
+    heights[3, 4], heights[5, 6] = 5.0, np.nan
+    figure = plots.topography(heights, np.array([0.4, 0.9]), "a surface")
+    over, through = figure.axes[:2]
+    image = over.images[0]
+    assert image.get_extent() == [0, 0.9, 0, 0.4]
+    low, high = image.get_clim()
+    assert -1.2e3 < low < high < 1.2e3  # the spike is 5000 µm high
+    shown = image.get_array()
+    assert shown is not None
+    assert np.ma.count_masked(np.ma.masked_invalid(shown)) == 1
+    text = labels(figure)
+    assert "x [mm]" in text
+    assert "height [µm]" in text
+    assert over.get_title() == "a surface"
+    assert np.size(through.lines[0].get_xdata()) == 60
+
+
 def test_flat_texture():
     told = outcome(Sq=0.0, Ssk=0.0, Sku=3.0)
     assert "nm" in labels(plots.texture(jnp.zeros((8, 8)), jnp.asarray([0.1, 0.1]), told))

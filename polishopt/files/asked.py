@@ -86,8 +86,10 @@ class Roughness(Section):
 
 
 class Start(Section):
-    """The surface before this step; what is named here adds up."""
+    """The surface before this step: measured, or what is named here, added up."""
 
+    file: str | None = None
+    """A measured surface, .x3p or .sdf; a relative path starts at the config's folder."""
     milled: Milled | None = None
     """Marks of the milling cutter."""
     scratches: Scratches | None = None
@@ -97,6 +99,10 @@ class Start(Section):
 
     @model_validator(mode="after")
     def _something(self):
+        others = [key for key, value in self if value is not None and key != "file"]
+        if self.file is not None and others:
+            sentence = "must stand alone: a measured surface holds everything"
+            reject((("file",), sentence, self.file))
         if self.scratches and self.roughness:
             reject(
                 (
@@ -105,10 +111,9 @@ class Start(Section):
                     ...,
                 )
             )
-        if not (self.milled or self.scratches or self.roughness):
-            reject(
-                ((), "must hold at least one of 'milled', 'scratches' and 'roughness'", ...)
-            )
+        if self.file is None and not others:
+            sentence = "must hold 'file' or at least one of"
+            reject(((), f"{sentence} 'milled', 'scratches' and 'roughness'", ...))
         return self
 
 

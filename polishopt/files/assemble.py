@@ -16,6 +16,7 @@ from ..texture.areal import Cumulants
 from ..texture.milling import MilledSurface, milled_map
 from ..texture.scratches import Scratches, groove_cumulants
 from .config import Config
+from .measured import start_map
 from .quantity import Tuned, internal
 
 
@@ -144,6 +145,10 @@ def machine(config: Config) -> Machine:
 def start(config: Config) -> jobs.Start:
     """The texture before the step."""
     asked = config.start
+    if asked.file is not None:
+        measured = start_map(asked.file, config.sampling.start_points)
+        heights = jnp.asarray(measured.heights, dtype=float)
+        return jobs.Start(heights=heights, spacing=measured.spacing)
     zero = as_scalar(0.0)
     scratches = Cumulants(zero, zero, zero)
     if asked.scratches is not None:

@@ -5,6 +5,7 @@ is allowed and its unit. Neither JAX nor NumPy is imported.
 """
 
 import copy
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,6 +48,8 @@ class Loaded:
     """The file it came from."""
     text: str
     """That file's text, without overrides."""
+    measured: str = ""
+    """What was measured as the start surface, and what is done to it."""
 
 
 @dataclass(frozen=True)
@@ -153,6 +156,7 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Loaded:
     origin = override(document, overrides)
     place = Located(str(path), text, survey(document, str(path)), origin)
     data, unknown = filled(place.found.data)
+    name = root_start_file(data, path.parent)
 
     problems = [
         place.problem(keys, f"{shown(keys)} has no value", at_key=True)
@@ -172,12 +176,38 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Loaded:
         # a section whose preset is unknown lacks its keys for that reason alone
         problems += problems_in(error, data, place, excused=[at for at, _ in unknown])
         raise ConfigError(problems) from None
+    measured = ""
+    if config.start.file is not None:
+        from .measured import TopographyError, sample  # brings NumPy along
+
+        try:
+            *_, sentence = sample(config.start.file, config.sampling.start_points)
+            measured = f"{name}: {sentence}"
+        except TopographyError as error:
+            problems.append(place.problem(("start", "file"), f"start.file: {error}"))
     if problems:
         raise ConfigError(problems)
-    return Loaded(config, document, path, text)
+    return Loaded(config, document, path, text, measured)
 
 
-def optimum(loaded: Loaded, answers: Mapping[str, float]) -> str:
+def root_start_file(data: Any, folder: Path) -> str:
+    """Makes the path of a start surface one that starts at a folder; returns it as typed.
+
+    Args:
+        data: The plain values of a config, changed in place.
+        folder: Where a relative path starts.
+    """
+    start = data.get("start")
+    name = start.get("file") if isinstance(start, dict) else None
+    if not isinstance(name, str):
+        return ""
+    start["file"] = str(folder / name)
+    return name
+
+
+def optimum(
+    loaded: Loaded, answers: Mapping[str, float], folder: str | Path | None = None
+) -> str:
     """The config with an answer written in as the new `start` of each tuned value.
 
     Comments and layout are kept. Values are rounded to six digits, and rounding never
@@ -186,6 +216,8 @@ def optimum(loaded: Loaded, answers: Mapping[str, float]) -> str:
     Args:
         loaded: The config that was solved.
         answers: The answer by key and in the unit of the key: `{"tilt_deg": 7.5}`.
+        folder: Where the text will lie, if elsewhere: then the path of a start surface is
+            written as seen from there.
 
     Raises:
         ValueError: if a key is not tuned in this config.
@@ -197,11 +229,27 @@ def optimum(loaded: Loaded, answers: Mapping[str, float]) -> str:
             raise ValueError(f"`process.{key}` is not tuned in {loaded.path}.")
         low, high = tuned[key].between
         document["process"][key]["start"] = min(max(float(f"{value:.6g}"), low), high)
+    surface = loaded.config.start.file
+    if folder is not None and surface is not None:
+        document["start"]["file"] = seen_from(surface, folder)
     return dump(document)
 
 
-def describe(config: Config) -> str:
-    """A summary of a config for people: what is given, tuned, wanted and limited."""
+def seen_from(path: str, folder: str | Path) -> str:
+    """A path relative to a folder, or whole where there is no way between their drives."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:
+        return str(Path(path).absolute())
+
+
+def describe(config: Config, measured: str = "") -> str:
+    """A summary of a config for people: what is given, tuned, wanted and limited.
+
+    Args:
+        config: A checked config.
+        measured: What is known of a measured start surface.
+    """
 
     def quantity(key: str, value: Any) -> str:
         unit = label(suffix(key))
@@ -251,7 +299,7 @@ def describe(config: Config) -> str:
         ("machine", config.machine.preset or "own"),
         ("guide", f"{guide.family}, {density}, {guide.corner} corners, {guide.mode}"),
         *((word(key), quantity(key, value)) for key, value in config.process),
-        ("start", ", ".join(start)),
+        ("start", measured or ", ".join(start)),
         ("target", ", ".join(goals)),
         ("limits", ", ".join(limits) or "none"),
         ("secondary", config.secondary),

@@ -54,6 +54,8 @@ class Sampling(Section):
     """Pixels along each side of the removal map."""
     planarisation: Annotated[int, Between("[1, 1024]")] = 16
     """Steps in which the wear of a height map is integrated."""
+    start_points: Annotated[int, Between("[16, 1024]")] = 64
+    """Most points along each side that are taken of a measured start surface."""
 
 
 class Config(Section):

@@ -5,8 +5,6 @@ from .areal import (
     HeightParameters as HeightParameters,
     Sa_estimate as Sa_estimate,
     cumulants as cumulants,
-    gaussian_filter as gaussian_filter,
-    gaussian_transmission as gaussian_transmission,
     height_parameters as height_parameters,
     parameters_from_cumulants as parameters_from_cumulants,
 )
@@ -15,6 +13,24 @@ from .evolution import (
     combine as combine,
     draw_patch as draw_patch,
     ripple_cumulants as ripple_cumulants,
+)
+from .feature import Spd as Spd
+from .filters import (
+    L_filter as L_filter,
+    S_filter as S_filter,
+    form as form,
+    gaussian_filter as gaussian_filter,
+    gaussian_transmission as gaussian_transmission,
+    scale_limited as scale_limited,
+)
+from .functional import (
+    FunctionalParameters as FunctionalParameters,
+    functional_parameters as functional_parameters,
+    material_ratio_curve as material_ratio_curve,
+)
+from .hybrid import (
+    HybridParameters as HybridParameters,
+    hybrid_parameters as hybrid_parameters,
 )
 from .milling import (
     MilledSurface as MilledSurface,
@@ -29,6 +45,10 @@ from .milling import (
     scallop_cumulants as scallop_cumulants,
     scallops as scallops,
 )
+from .parameters import (
+    ArealParameters as ArealParameters,
+    areal_parameters as areal_parameters,
+)
 from .planarisation import (
     asperity_stiffness as asperity_stiffness,
     pad_pressure as pad_pressure,
@@ -41,4 +61,14 @@ from .scratches import (
     decay_rate as decay_rate,
     groove_cumulants as groove_cumulants,
     groove_depth as groove_depth,
+)
+from .spatial import (
+    SpatialParameters as SpatialParameters,
+    angular_spectrum as angular_spectrum,
+    autocorrelation as autocorrelation,
+    spatial_parameters as spatial_parameters,
+)
+from .uncertainty import (
+    StandardErrors as StandardErrors,
+    standard_errors as standard_errors,
 )

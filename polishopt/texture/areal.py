@@ -1,9 +1,9 @@
-"""Areal: the ISO 25178-2 height parameters of a surface, and the filters before them.
+"""Areal: the ISO 25178-2 height parameters of a surface.
 
-A height map is an array [y, x] of heights in mm. Its height parameters are moments, and
-moments of independent causes do not add, but cumulants do: so the chapter carries
-textures as `Cumulants` and turns them into Sq, Ssk and Sku at the very end. Waviness is
-taken out by the Gaussian filter of ISO 16610-61.
+A height map is an array [y, x] of heights in mm, NaN where nothing was measured. Its
+height parameters are moments, and moments of independent causes do not add, but cumulants
+do: so the chapter carries textures as `Cumulants` and turns them into Sq, Ssk and Sku at
+the very end.
 """
 
 import math
@@ -15,15 +15,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..parts import Scalar, as_scalar
-
-
-# distance of neighbouring points: one number, or (along y, along x)
-Spacing = Float[Array, "2"] | Scalar | float
-
-ALPHA = math.sqrt(math.log(2.0) / math.pi)
-
-# Beyond this ratio of cutoff to wavelength the Gaussian is zero in double precision.
-OPAQUE = 40.0
 
 
 class HeightParameters(eqx.Module):
@@ -59,27 +50,48 @@ class Cumulants(eqx.Module):
         return iter((self.k2, self.k3, self.k4))
 
 
-def _moments(
+def fill_gaps(
     z: Float[Array, "ny nx"],
+) -> tuple[Float[Array, "ny nx"], Scalar, Scalar]:
+    """A map with its mean in all its gaps, that mean [mm], and how many points count.
+
+    A map without gaps is not touched: to find that out costs nothing beyond the mean.
+
+    Args:
+        z: Heights [mm]; NaN where not measured.
+    """
+    total = jnp.sum(z)
+    size = jnp.asarray(float(z.size), z.dtype)
+
+    def measured():
+        gap = jnp.isnan(z)
+        count = size - jnp.sum(gap.astype(z.dtype))
+        mean = jnp.sum(jnp.where(gap, 0.0, z)) / count
+        return jnp.where(gap, mean, z), mean, count
+
+    return jax.lax.cond(jnp.isnan(total), measured, lambda: (z, total / size, size))
+
+
+def _moments(
+    z: Float[Array, "ny nx"], mean: Scalar, count: Scalar
 ) -> tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]:
-    """Mean, largest deviation s, and means of |u|, u^2, u^3, u^4, u = (z - mean)/s.
+    """Sp, Sv, their larger s, and means of |u|, u^2, u^3, u^4 with u = (z - mean)/s.
 
     The scale s keeps fourth powers of nanometres inside the range of float32.
     """
-    mean = jnp.mean(z)
-    high, low = jnp.max(z), jnp.min(z)
-    scale = jax.lax.stop_gradient(jnp.maximum(high - mean, mean - low))
-    scale = jnp.where(scale > 0, scale, jnp.ones_like(scale))
+    Sp, Sv = jnp.max(z) - mean, mean - jnp.min(z)
+    scale = jax.lax.stop_gradient(jnp.maximum(Sp, Sv))
+    scale = jnp.where(scale == 0, jnp.ones_like(scale), scale)
     u = (z - mean) / scale
     square = u * u
     return (
-        mean,
+        Sp,
+        Sv,
         scale,
-        jnp.mean(jnp.abs(u)),
-        jnp.mean(square),
-        jnp.mean(square * u),
-        jnp.mean(square * square),
-        high - low,
+        jnp.sum(jnp.abs(u)) / count,
+        jnp.sum(square) / count,
+        jnp.sum(square * u) / count,
+        jnp.sum(square * square) / count,
     )
 
 
@@ -92,25 +104,25 @@ def height_parameters(z: Float[Array, "ny nx"]) -> HeightParameters:
     values of a vanishing Gaussian, and zero gradient in Sa, Sq, Ssk and Sku.
 
     Args:
-        z: Heights [mm], or any unit: Sa, Sq, Sp, Sv and Sz come back in it.
+        z: Heights [mm], or any unit: Sa, Sq, Sp, Sv and Sz come back in it. Points that
+            are NaN were not measured and do not count; if all are, so is every answer.
 
     Returns:
         All seven parameters.
 
     Source: S0 eqs. (14)-(17), ISO 25178-2.
     """
-    mean, scale, absolute, m2, m3, m4, Sz = _moments(z)
-    rough = m2 > 0
-    m2 = jnp.where(rough, m2, jnp.ones_like(m2))
-    Sp = jnp.max(z) - mean
+    Sp, Sv, scale, absolute, m2, m3, m4 = _moments(*fill_gaps(z))
+    flat = m2 == 0
+    m2 = jnp.where(flat, jnp.ones_like(m2), m2)
     return HeightParameters(
         Sa=scale * absolute,
-        Sq=jnp.where(rough, scale * jnp.sqrt(m2), 0.0),
-        Ssk=jnp.where(rough, m3 / (m2 * jnp.sqrt(m2)), 0.0),
-        Sku=jnp.where(rough, m4 / (m2 * m2), 3.0),
+        Sq=jnp.where(flat, 0.0, scale * jnp.sqrt(m2)),
+        Ssk=jnp.where(flat, 0.0, m3 / (m2 * jnp.sqrt(m2))),
+        Sku=jnp.where(flat, 3.0, m4 / (m2 * m2)),
         Sp=Sp,
-        Sv=Sz - Sp,
-        Sz=Sz,
+        Sv=Sv,
+        Sz=Sp + Sv,
     )
 
 
@@ -120,9 +132,10 @@ def cumulants(z: Float[Array, "ny nx"]) -> Cumulants:
     $\kappa_2 = m_2$, $\kappa_3 = m_3$, $\kappa_4 = m_4 - 3 m_2^2$ of the central moments.
 
     Args:
-        z: Heights [mm].
+        z: Heights [mm], all of them measured: one NaN makes every cumulant NaN.
     """
-    _, scale, _, m2, m3, m4, _ = _moments(z)
+    size = jnp.asarray(float(z.size), z.dtype)
+    _, _, scale, _, m2, m3, m4 = _moments(z, jnp.mean(z), size)
     return Cumulants(scale**2 * m2, scale**3 * m3, scale**4 * (m4 - 3.0 * m2 * m2))
 
 
@@ -171,86 +184,3 @@ def Sa_estimate(Sq: Scalar, Ssk: Scalar, Sku: Scalar) -> Scalar:
         $\langle|x| He_6\rangle = 3\sqrt{2/\pi}$ in the Edgeworth series.
     """
     return Sq * math.sqrt(2.0 / math.pi) / (1.0 + (Sku - 3.0 - Ssk**2) / 24.0)
-
-
-def gaussian_transmission(
-    wavelength: Float[Array, " *n"], cutoff: Scalar | float
-) -> Float[Array, " *n"]:
-    r"""Share of a wave's amplitude that the Gaussian lowpass lets through [-].
-
-    $T = \exp(-\pi(\alpha\lambda_c/\lambda)^2)$ with $\alpha = \sqrt{\ln 2/\pi}$, so that
-    $T(\lambda_c) = 1/2$. An infinite wavelength passes whole; beneath an infinite cutoff
-    nothing finite passes, with zero gradient.
-
-    Args:
-        wavelength: Wavelength, $\lambda$ [mm].
-        cutoff: Wavelength at half transmission, $\lambda_c$ [mm].
-
-    Source: ISO 16610-61.
-    """
-    clear = jnp.isinf(wavelength) | (cutoff < OPAQUE * wavelength)
-    finite = jnp.isfinite(wavelength) & clear
-    ratio = jnp.where(finite, cutoff, 0.0) / jnp.where(finite, wavelength, 1.0)
-    return jnp.where(clear, jnp.exp(-math.pi * (ALPHA * ratio) ** 2), 0.0)
-
-
-def wavelengths(z: Float[Array, "ny nx"], spacing: Spacing) -> Float[Array, "ny nf"]:
-    """Wavelengths of the modes that `jnp.fft.rfft2` finds [mm]; infinite for the mean.
-
-    Args:
-        z: A periodic map, for its shape.
-        spacing: Distance of neighbouring points, or (along y, along x) [mm].
-    """
-    dy, dx = jnp.broadcast_to(jnp.asarray(spacing, dtype=z.dtype), (2,))
-    fy = jnp.fft.fftfreq(z.shape[0], dtype=z.dtype)[:, None] / dy
-    fx = jnp.fft.rfftfreq(z.shape[1], dtype=z.dtype)[None, :] / dx
-    square = fy**2 + fx**2
-    moving = square > 0
-    return jnp.where(moving, 1.0 / jnp.sqrt(jnp.where(moving, square, 1.0)), jnp.inf)
-
-
-def transmit(
-    z: Float[Array, "ny nx"], transmission: Float[Array, "ny nf"]
-) -> Float[Array, "ny nx"]:
-    """A periodic map with each of its waves reduced [mm].
-
-    Args:
-        z: Heights [mm].
-        transmission: Share of each mode of `jnp.fft.rfft2` that passes [-].
-    """
-    modes = jnp.fft.rfft2(z)
-    return jnp.fft.irfft2(transmission.astype(modes.dtype) * modes, s=z.shape)
-
-
-def gaussian_filter(
-    z: Float[Array, "ny nx"],
-    spacing: Spacing,
-    cutoff: Scalar | float,
-    periodic: bool = False,
-) -> Float[Array, "ny nx"]:
-    r"""Waviness of a map: its Gaussian lowpass [mm].
-
-    The weight is a Gaussian of standard deviation $0.187391\lambda_c$. A periodic map is
-    filtered by its exact transmission in Fourier space. Any other map is filtered along y
-    and along x with weights that are scaled to sum to one at every point, so that the
-    border neither lifts nor sinks. Roughness is what is left, `z - gaussian_filter(z)`.
-
-    Args:
-        z: Heights [mm].
-        spacing: Distance of neighbouring points, or (along y, along x) [mm].
-        cutoff: Wavelength at half transmission, $\lambda_c$ [mm].
-        periodic: Whether the map repeats itself beyond its border.
-
-    Source: ISO 16610-61.
-    """
-    if periodic:
-        return transmit(z, gaussian_transmission(wavelengths(z, spacing), cutoff))
-    dy, dx = jnp.broadcast_to(jnp.asarray(spacing, dtype=z.dtype), (2,))
-    return _weights(z.shape[0], dy / cutoff) @ z @ _weights(z.shape[1], dx / cutoff).T
-
-
-def _weights(n: int, spacing: Scalar) -> Float[Array, "{n} {n}"]:
-    """Gaussian weights between n points in a row, scaled to sum to one in each row."""
-    place = jnp.arange(n, dtype=spacing.dtype) * spacing
-    weight = jnp.exp(-math.pi * ((place[:, None] - place[None, :]) / ALPHA) ** 2)
-    return weight / jnp.sum(weight, axis=1, keepdims=True)

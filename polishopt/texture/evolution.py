@@ -14,7 +14,8 @@ import jax.random as jr
 from jaxtyping import Array, Float, Key
 
 from ..parts import Abrasive, Scalar
-from .areal import Cumulants, Sa_estimate, gaussian_transmission, parameters_from_cumulants
+from .areal import Cumulants, Sa_estimate, parameters_from_cumulants
+from .filters import gaussian_transmission
 from .planarisation import decay_exponent
 from .scratches import PARABOLA, compression, groove_depth
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..parts import Abrasive, Scalar
-from .areal import Spacing, gaussian_transmission, transmit, wavelengths
+from .filters import Spacing, gaussian_transmission, transmit, wavelengths
 
 
 # Removal over pad compression beyond which a step is the limit of a rigid pad, to more
