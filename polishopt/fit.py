@@ -5,7 +5,9 @@ converged. Results are written in all cases but bad input, so that a failure can
 at.
 """
 
+import contextlib
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -47,8 +49,11 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
         target: Folder for the results; exists.
         quiet: Whether to print nothing.
     """
+    import equinox as eqx
     from rich.console import Console
 
+    from . import report
+    from .chain import polish
     from .files.assemble import job as assemble
     from .optimize.tune import tune
 
@@ -64,6 +69,9 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     preload("scipy.stats", "polishopt.plots", "xarray", "h5netcdf")
     job = assemble(loaded.config)
     solver = loaded.config.solver
+    begin = eqx.filter_jit(polish)(job.process, job.setup)
+    say(f"the start gives {report.summary(begin, job)}")
+    threading.Thread(target=lambda: _rehearse(job), daemon=True).start()
     with told.status("searching"):
         tuning = tune(
             job.setup,
@@ -77,13 +85,21 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
             solver.tolerance,
             progress=say,
         )
-    from . import report, results
+    from . import results
 
     with told.status("drawing"):
         results.write(tuning, job, loaded, target, say)
     say(f"results are in {target}")
     report.show(console, tuning, job, loaded)
     return int(tuning.verdict)
+
+
+def _rehearse(job) -> None:
+    from .results import rehearse
+
+    # whatever is wrong will be said when it is needed
+    with contextlib.suppress(Exception):
+        rehearse(job)
 
 
 def run() -> None:

@@ -5,6 +5,7 @@ nothing is shared between them: they can be drawn in threads and need no display
 """
 
 import dataclasses
+import math
 import os
 import tempfile
 from collections.abc import Sequence
@@ -40,6 +41,15 @@ SEVERAL = (BLUE, ORANGE, GREEN, PINK, SKY, AMBER)
 MAP = "cividis"
 DPI = 150
 
+# each is one compilation where its operations one by one would be many
+_margins = eqx.filter_jit(
+    lambda process, tool: (
+        body_clearance(process, tool),
+        unstick_force(process.tilt, tool),
+    )
+)
+_along = eqx.filter_jit(lambda guide, s: jax.vmap(guide)(s).position)
+
 # What is drawn may come from a calculation or from a file.
 Numbers = Array | np.ndarray
 
@@ -52,7 +62,7 @@ def path(run: Run, setup: Setup) -> Figure:
         setup: The job.
     """
     xy, minutes = np.asarray(run.posture.xy), _shown(run.law.time, "min")
-    guide = np.asarray(jax.vmap(setup.guide)(run.s).position)
+    guide = np.asarray(_along(setup.guide, run.s))
     middle = len(xy) // 2
     disc = _disc(run, middle, float(setup.tool.radius))
     turned = np.unwrap(np.arctan2(*(xy - guide).T[::-1]))
@@ -173,7 +183,7 @@ def contact(process: Process, setup: Setup) -> Figure:
         ScalarMappable(scale, MAP), ax=under, label="pressure [MPa]", shrink=0.85
     )
     angle, radius = np.linspace(0, 2 * np.pi, 181), float(tool.radius)
-    level = float(jnp.cos(process.tilt))
+    level = math.cos(float(process.tilt))
     under.plot(
         -lean * level * radius * (1 - np.cos(angle)),
         radius * np.sin(angle),
@@ -188,16 +198,16 @@ def contact(process: Process, setup: Setup) -> Figure:
     under.set_title(f"The disc presses with {force:.1f} N on {area:.0f} mm²")
 
     here = float(process.displacement)
-    critical = here + float(body_clearance(process, tool))
-    limit = float(unstick_force(process.tilt, tool))
+    clearance, limit = (float(x) for x in _margins(process, tool))
+    critical = here + clearance
     reach = max(1.5 * here, 1.1 * critical)
 
     def at(displacement):
         pressed = dataclasses.replace(process, displacement=displacement)
         return patch(pressed, tool, bend, lean, 16, 8, setup.panels).force
 
-    displacements = jnp.linspace(0.0, reach, 61)
-    forces = eqx.filter_jit(jax.vmap(at))(displacements)
+    displacements = np.linspace(0.0, reach, 61)
+    forces = np.asarray(eqx.filter_jit(jax.vmap(at))(jnp.asarray(displacements)))
     against.plot(displacements, forces, color=BLUE, label="force")
     against.plot(here, force, "o", color=BLUE, markersize=8, label="this process")
     if np.isfinite(limit):
@@ -439,13 +449,13 @@ def _coloured(axes: Axes, xy: np.ndarray, minutes: np.ndarray) -> LineCollection
 
 def _disc(run: Run, i: int, radius: float) -> np.ndarray:
     """Outline of the disc at sample i, seen from above, in the parameter plane [mm]."""
-    axis, side = np.asarray(run.posture.axis[i]), np.asarray(run.posture.side[i])
+    at = jax.tree.map(lambda column: np.asarray(column)[i], run.posture)
     angle = np.linspace(0, 2 * np.pi, 121)[:, None]
-    rim = np.cos(angle) * np.cross(side, axis) + np.sin(angle) * side
-    middle = np.asarray(run.posture.tip[i] - run.posture.contact[i])
-    return np.asarray(run.posture.xy[i]) + (middle + radius * rim)[:, :2]
+    rim = np.cos(angle) * np.cross(at.side, at.axis) + np.sin(angle) * at.side
+    return at.xy + (at.tip - at.contact + radius * rim)[:, :2]
 
 
+@eqx.filter_jit
 def _bend(setup: Setup):
     """Curvature in the middle of the part, with the feed along x [1/mm]."""
     middle = setup.size / 2

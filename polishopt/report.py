@@ -7,6 +7,7 @@ words.
 from rich.console import Console
 from rich.table import Table
 
+from .chain import Outcome
 from .files.assemble import NAMES, Job
 from .files.config import Config, Loaded
 from .files.quantity import Tuned
@@ -68,6 +69,16 @@ def answers(tuning: Tuning, config: Config) -> dict[str, float]:
         value = getattr(tuning.process, NAMES.get(word, word))
         result[key] = from_internal(float(value), unit)
     return result
+
+
+def summary(outcome: Outcome, job: Job) -> str:
+    """What the target asks for, as it is in an outcome."""
+    shown = []
+    for name in job.target:
+        unit = OUTCOME_UNITS.get(name, ("", ""))[0]
+        value = from_internal(float(getattr(outcome, name)), unit)
+        shown.append(f"{name} = {value:.3f} {label(unit)}".rstrip())
+    return ", ".join(shown)
 
 
 def verdict(tuning: Tuning) -> str:

@@ -3,6 +3,7 @@
 import dataclasses
 import platform
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 
@@ -22,8 +23,8 @@ from .files.results import write_json, write_maps, write_sensitivity
 from .files.topography import Topography, write as write_topography
 from .optimize.sensitivity import OUTCOMES, sensitivities
 from .optimize.tune import Tuning, Verdict
-from .parts import Process
-from .setup import FINE
+from .parts import Abrasive, Process, Scalar
+from .setup import FINE, Setup
 from .texture.evolution import draw_patch
 from .texture.scratches import decay_rate, groove_depth
 
@@ -42,6 +43,7 @@ INNER_UNITS = {
     "feed": "mm/s",
     "spin": "rad/s",
 }
+PAINTERS = 2  # pictures drawn at a time
 GROOVES = 4096  # most grooves in a drawn patch; the oldest have faded long before
 GROOVE_PIXELS = 8  # width of a mean groove in a drawn patch
 
@@ -63,32 +65,69 @@ def write(
         target / "optimum.yaml",
         optimum(loaded, report.answers(tuning, loaded.config), target),
     )
-    say("drawing the sensitivities")
-    write_sensitivities(job, tuning.process, target)
-    say("running the path with every loop")
     process, setup = tuning.process, job.setup
-    samples = resolved.samples(process, setup)
-    run = eqx.filter_jit(resolved.run)(process, setup, samples)
-    heights, extent = texture_patch(tuning, job, loaded.config)
-    title = f"Texture drawn by polishopt, not measured: {loaded.config.title}"
-    start = loaded.config.start
-    if start.file or start.milled or start.roughness:
-        title += "; without what is left of the start surface"
-    dy, dx = (extent / heights.shape).tolist()
-    write_topography(target / "texture.x3p", Topography(heights, (dy, dx), title))
-    # the search needs sums over the part; a map wants more nodes
-    close = eqx.tree_at(lambda s: s.sampling, setup, FINE)
-    removal = eqx.filter_jit(lambda p, s: polish(p, s).removal)(process, close)
-    maps(tuning, close, loaded, run, removal, heights, extent, target)
-    say("drawing the pictures")
-    plots.save(plots.path(run, setup), target / "path.png")
-    plots.save(plots.feed(run, process), target / "feed.png")
-    plots.save(plots.contact(process, setup), target / "contact.png")
-    plots.save(
-        plots.removal(np.asarray(removal), np.asarray(setup.size)),
-        target / "removal.png",
-    )
-    plots.save(plots.texture(heights, extent, tuning.outcome), target / "texture.png")
+    size = np.asarray(setup.size)
+    with ThreadPoolExecutor(PAINTERS) as pool:
+        say("drawing the sensitivities")
+        painted = [pool.submit(write_sensitivities, job, process, target)]
+
+        def paint(name, draw, *given):
+            def work():
+                plots.save(draw(*given), target / name)
+
+            painted.append(pool.submit(work))
+
+        paint("contact.png", plots.contact, process, setup)
+        say("running the path with every loop")
+        run = _run(process, setup, resolved.samples(process, setup))
+        paint("path.png", plots.path, run, setup)
+        paint("feed.png", plots.feed, run, process)
+        removal = np.asarray(_fine_removal(process, setup))
+        paint("removal.png", plots.removal, removal, size)
+        heights, extent = texture_patch(tuning, job, loaded.config)
+        paint("texture.png", plots.texture, heights, extent, tuning.outcome)
+        title = f"Texture drawn by polishopt, not measured: {loaded.config.title}"
+        start = loaded.config.start
+        if start.file or start.milled or start.roughness:
+            title += "; without what is left of the start surface"
+        dy, dx = (extent / heights.shape).tolist()
+        write_topography(target / "texture.x3p", Topography(heights, (dy, dx), title))
+        maps(tuning, _closely(setup), loaded, run, removal, heights, extent, target)
+        say("drawing the pictures")
+        for picture in painted:
+            picture.result()  # raises what it raised
+
+
+def rehearse(job: Job) -> None:
+    """Compiles, around the start, what `write` will need around the answer.
+
+    Worth doing in the background of the search. The path with every loop is left out: how
+    long it is depends on the answer.
+
+    Args:
+        job: The job.
+    """
+    _sensitivities(job.process, job.setup, OUTCOMES, _columns(job))
+    _fine_removal(job.process, job.setup)
+
+
+_run = eqx.filter_jit(resolved.run)
+_sensitivities = eqx.filter_jit(sensitivities)
+
+
+@eqx.filter_jit
+def _fine_removal(process: Process, setup: Setup):
+    return polish(process, _closely(setup)).removal
+
+
+def _closely(setup: Setup) -> Setup:
+    """The job with more nodes: the search needs sums over the part, a map wants detail."""
+    return eqx.tree_at(lambda s: s.sampling, setup, FINE)
+
+
+def _columns(job: Job) -> tuple[str, ...]:
+    """The settings by which outcomes are differentiated."""
+    return tuple(job.between) or ("tilt", "displacement")
 
 
 def numbers(tuning: Tuning, job: Job, loaded: Loaded, target: Path) -> None:
@@ -147,9 +186,7 @@ def write_sensitivities(job: Job, process: Process, target: Path) -> None:
         process: Around which settings.
         target: The folder; exists.
     """
-    matrix = eqx.filter_jit(sensitivities)(
-        process, job.setup, OUTCOMES, tuple(job.between) or ("tilt", "displacement")
-    )
+    matrix = _sensitivities(process, job.setup, OUTCOMES, _columns(job))
     write_sensitivity(target / "sensitivity.csv", matrix, INNER_UNITS)
     plots.save(
         plots.sensitivities(
@@ -165,35 +202,52 @@ def texture_patch(tuning: Tuning, job: Job, config: Config):
     The grooves of this step and what is left of those of the step before, one by one, and
     the ripple as one wave. What a start map or a measured roughness leaves is not drawn.
     """
-    asked, abrasive = config.texture, job.setup.abrasive
-    pressure = jnp.asarray(tuning.outcome.pressure)
-    removal = jnp.asarray(tuning.outcome.mean_removal)
-    width = 2 * groove_depth(abrasive, pressure) * jnp.tan(abrasive.half_angle)
-    side = asked.patch_mm or asked.patch_pixels * float(width) / GROOVE_PIXELS
-    extent, shape = jnp.full(2, side), (asked.patch_pixels, asked.patch_pixels)
-    keys = jax.random.split(jax.random.key(config.solver.seed))
-    waves = tuning.outcome.parts[-1]
-    draw = eqx.filter_jit(draw_patch)
-    heights = draw(
-        keys[0],
+    asked, abrasive, outcome = config.texture, job.setup.abrasive, tuning.outcome
+    width = float(_groove_width(abrasive, outcome.pressure))
+    side = asked.patch_mm or asked.patch_pixels * width / GROOVE_PIXELS
+    extent, shape = np.full(2, side), (asked.patch_pixels, asked.patch_pixels)
+    before = config.start.scratches
+    grade = None if before is None else assemble.abrasive(before.abrasive)
+    pressure = 0.0 if before is None else before.pressure_MPa
+    heights = _drawn(
+        jax.random.key(config.solver.seed),
+        abrasive,
+        outcome,
+        tuning.process.step,
+        grade,
+        jnp.asarray(pressure, dtype=extent.dtype),
+        jnp.asarray(extent),
+        shape,
+    )
+    return np.asarray(heights), extent
+
+
+@eqx.filter_jit
+def _groove_width(abrasive: Abrasive, pressure: Scalar) -> Scalar:
+    return 2 * groove_depth(abrasive, pressure) * jnp.tan(abrasive.half_angle)
+
+
+@eqx.filter_jit
+def _drawn(key, abrasive, outcome, wavelength, grade, grade_pressure, extent, shape):
+    """Grooves of this step and of the grade before, and the ripple [mm]."""
+    now, before = jax.random.split(key)
+    pressure, removal = outcome.pressure, outcome.mean_removal
+    heights = draw_patch(
+        now,
         abrasive,
         pressure,
         removal,
         shape,
         extent,
         GROOVES,
-        amplitudes=jnp.sqrt(jnp.maximum(2 * waves.k2, 0.0))[None],
-        wavelengths=tuning.process.step[None],
+        amplitudes=jnp.sqrt(jnp.maximum(2 * outcome.parts[-1].k2, 0.0))[None],
+        wavelengths=wavelength[None],
     )
-    before = config.start.scratches
-    if before is not None:
-        grade = assemble.abrasive(before.abrasive)
-        steady = assemble.LONG_AGO * grade.grain
-        earlier = draw(
-            keys[1], grade, jnp.asarray(before.pressure_MPa), steady, shape, extent, GROOVES
-        )
-        heights += earlier * jnp.exp(-decay_rate(abrasive, pressure) * removal)
-    return np.asarray(heights), np.asarray(extent)
+    if grade is None:
+        return heights
+    steady = assemble.LONG_AGO * grade.grain
+    earlier = draw_patch(before, grade, grade_pressure, steady, shape, extent, GROOVES)
+    return heights + earlier * jnp.exp(-decay_rate(abrasive, pressure) * removal)
 
 
 def maps(tuning, setup, loaded, run, removal, heights, extent, target: Path) -> None:
@@ -201,7 +255,7 @@ def maps(tuning, setup, loaded, run, removal, heights, extent, target: Path) -> 
     grid, law = setup.grid, run.law
     rows, columns = np.asarray(heights).shape
     flat = jnp.zeros((2, 2), dtype=grid.x.dtype)
-    nodes = patch(tuning.process, setup.tool, flat, setup.side, 16, 24)
+    nodes = eqx.filter_jit(patch)(tuning.process, setup.tool, flat, setup.side, 16, 24)
     axes = np.asarray(run.axes)
     along = ("sample",)
     variables = {

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from .. import setup as jobs
 from ..optimize.tune import Goal, Limits
-from ..parts import AXES, Abrasive, Machine, Process, Tool, as_scalar
+from ..parts import AXES, Abrasive, Machine, Process, Scalar, Tool, as_scalar
 from ..path.guide import hilbert, lines
 from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
 from ..texture.areal import Cumulants
@@ -154,7 +154,7 @@ def start(config: Config) -> jobs.Start:
     if asked.scratches is not None:
         grade = abrasive(asked.scratches.abrasive)
         pressure = as_scalar(internal(asked.scratches)["pressure"])
-        scratches: Scratches = groove_cumulants(grade, pressure, LONG_AGO * grade.grain)
+        scratches = steady_scratches(grade, pressure)
     elif asked.roughness is not None:
         rough = internal(asked.roughness)
         square = as_scalar(rough["Sq"]) ** 2
@@ -164,8 +164,15 @@ def start(config: Config) -> jobs.Start:
     if asked.milled is None:
         return jobs.Start(scratches=scratches)
     shape = (MILLED_PIXELS, MILLED_PIXELS)
-    heights, spacing = milled_map(MilledSurface(**internal(asked.milled)), shape)
+    milled = MilledSurface(**internal(asked.milled))
+    heights, spacing = eqx.filter_jit(milled_map)(milled, shape)
     return jobs.Start(scratches=scratches, heights=heights, spacing=spacing)
+
+
+@eqx.filter_jit  # one compilation, not one for each of its operations
+def steady_scratches(grade: Abrasive, pressure: Scalar) -> Scratches:
+    """What a grade that has polished for long leaves [mm^2, mm^3, mm^4]."""
+    return groove_cumulants(grade, pressure, LONG_AGO * grade.grain)
 
 
 def limits(config: Config) -> Limits:

@@ -71,7 +71,8 @@ def sensitivities(
 
     def values(x):
         given = dict(zip(settings, x, strict=True))
-        outcome = chain(dataclasses.replace(process, **given), setup)
+        # jitted like anywhere else, it is not traced again
+        outcome = eqx.filter_jit(chain)(dataclasses.replace(process, **given), setup)
         reached = jnp.stack([getattr(outcome, name) for name in outcomes])
         return reached, reached
 

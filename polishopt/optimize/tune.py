@@ -375,8 +375,8 @@ def tune(
             rank = _put(np.full(starts, np.inf), cheapest[good], cost[cheapest[good]])
     best = int(np.argmin(np.where(np.isnan(rank), np.inf, rank)))
     # the loops above ran on the host; what is handed out are JAX arrays again
+    answer: Solution = jax.tree.map(lambda leaf: jnp.asarray(leaf[best]), final)
     final, distance, cost = jax.tree.map(jnp.asarray, (final, distance, cost))
-    answer: Solution = jax.tree.map(lambda leaf: leaf[best], final)
     x = {name: as_scalar(value) for name, value in answer.x.items()}
     process = dataclasses.replace(start, **x)
     reached = outcome(process, setup)
