@@ -238,7 +238,7 @@ def _search(places, lower, upper, stage: _Stage, secondary, tolerance, chain) ->
 
 
 def _in_batches(
-    search, places: Mapping[str, Float[Array, " starts"]], size: int
+    search, places: Mapping[str, Float[Array | np.ndarray, " starts"]], size: int
 ) -> Solution:
     """Searches from all places, `size` of them at a time, on the host.
 
@@ -363,9 +363,8 @@ def tune(
         held = search({n: x[cheapest] for n, x in final.x.items()}, jnp.ones_like(unit))
         far = np.max(np.abs(held.equality), axis=1)
         good = (held.status == Status.SOLVED) & (far <= HIT)
-        held = dataclasses.replace(
-            held, evaluations=held.evaluations + final.evaluations[cheapest]
-        )
+        work = held.evaluations + final.evaluations[cheapest]
+        held = eqx.tree_at(lambda solution: solution.evaluations, held, work)
         # else the target is reached, only not at the least cost: the first stage stands
         at_cost = bool(good.any())
         if at_cost:
