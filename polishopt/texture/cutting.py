@@ -1,0 +1,338 @@
+r"""Cutting: what the teeth of a milling cutter leave standing on the part.
+
+Every point of a grid on the part carries a line along its normal, and each tooth that
+passes cuts that line (the N-buffer method). A tooth does not sweep a torus: it passes
+over the line at one moment, when its edge lies in one plane with it. That moment is found
+together with the height by a fixed-point iteration, because the tool moves on by far less
+than its radius while the tooth turns: no angular step is needed, and each round gains two
+digits. The least of the heights is left. Cutting forces and burrs are left out.
+"""
+
+import functools
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..parts import Scalar
+from ..path.surface import Plane, Surface, area_stretch, curvature, jacobian, normal
+from .cutter import Cutter, Passings, several
+from .milling import MilledSurface
+
+
+# An edge that meets a line at a flatter angle than this cosine is its flank, which does
+# not cut.
+FLANK = 0.1
+# Lines that are cut at a time, times candidates; each holds a few dozen numbers.
+AT_ONCE = 1 << 17
+
+
+def cut(
+    surface: Surface,
+    x: Float[Array, " nx"],
+    y: Float[Array, " ny"],
+    cutter: Cutter,
+    passings: Passings,
+    candidates: int = 16,
+    tile: tuple[int, int] = (32, 32),
+    rounds: int = 3,
+    width: Scalar | float | None = None,
+    stock: Scalar | float = jnp.inf,
+) -> Float[Array, "ny nx"]:
+    r"""Heights that the teeth leave along the normals of a part [mm].
+
+    Lines are taken tile by tile, and each tile looks only at the passings that come lowest
+    over its middle. Differentiable in everything but the choice of these: with a hard
+    minimum almost everywhere, with a `width` everywhere.
+
+    Args:
+        surface: The part as drawn.
+        x: Grid of the lines along x of the parameter plane [mm].
+        y: Grid of the lines along y [mm].
+        cutter: The tool.
+        passings: Where it stands whenever a tooth passes.
+        candidates: Passings that each tile looks at. A tile holds as many as there are
+            feeds along it, and two more, for each pass that it sees.
+        tile: Lines of a tile along y and x.
+        rounds: Rounds of the iteration for moment and height.
+        width: Width of a smooth minimum, $-w\log\sum\exp(-h/w)$ [mm]; none for the least.
+        stock: Height of the part before milling; infinite where all of it is cut [mm].
+
+    Returns:
+        The heights. They are infinite where nothing cuts and no `stock` is given.
+
+    Source: S2 section 2 (N-buffer); the iteration is an own derivation.
+    """
+    count = passings.tooth.size
+    candidates = min(candidates, count)
+    ty, tx = min(tile[0], y.size), min(tile[1], x.size)
+    ny, nx = -(-y.size // ty), -(-x.size // tx)
+    # the last tile of a row repeats the last line
+    columns = jnp.pad(x, (0, nx * tx - x.size), mode="edge").reshape(nx, tx)
+    rows = jnp.pad(y, (0, ny * ty - y.size), mode="edge").reshape(ny, ty)
+
+    def one(place: tuple[Float[Array, " ty"], Float[Array, " tx"]]):
+        rows, columns = place
+        middle = jnp.stack([jnp.mean(columns), jnp.mean(rows)])[None]
+        first = _heights(*_lines(surface, middle), cutter, passings, 1)[0]
+        _, chosen = jax.lax.top_k(-jax.lax.stop_gradient(first), candidates)
+        near = jax.tree.map(lambda leaf: leaf[chosen], passings)
+        xy = jnp.stack(jnp.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+        h = _heights(*_lines(surface, xy), cutter, near, rounds)
+        return _least(h, width, stock).reshape(rows.size, columns.size)
+
+    across, down = jnp.arange(nx), jnp.arange(ny)
+    place = (jnp.repeat(down, nx), jnp.tile(across, ny))
+    tiles = jax.lax.map(
+        jax.checkpoint(lambda ij: one((rows[ij[0]], columns[ij[1]]))),
+        place,
+        batch_size=max(1, AT_ONCE // (ty * tx * candidates)),
+    )
+    whole = tiles.reshape(ny, nx, ty, tx).transpose(0, 2, 1, 3)
+    return whole.reshape(ny * ty, nx * tx)[: y.size, : x.size]
+
+
+_cut = eqx.filter_jit(cut)
+
+
+def topography(
+    surface: Surface,
+    x: Float[Array, " nx"],
+    y: Float[Array, " ny"],
+    cutter: Cutter,
+    passings: Passings,
+    progress: Callable[[int, int], None] | None = None,
+    tile: tuple[int, int] = (32, 32),
+    **settings,
+) -> Float[np.ndarray, "ny nx"]:
+    """Heights as from `cut`, band after band, for large maps; not for use under `jit`.
+
+    Args:
+        surface: The part as drawn.
+        x: Grid of the lines along x of the parameter plane [mm].
+        y: Grid of the lines along y [mm].
+        cutter: The tool.
+        passings: Where it stands whenever a tooth passes.
+        progress: Called after each band with the number of lines done and of all lines.
+        tile: Lines of a tile along y and x; a band is one tile wide.
+        **settings: Other settings of `cut`.
+    """
+    heights = np.empty((y.size, x.size), dtype=x.dtype)
+    band = min(tile[0], y.size)
+    for start in range(0, y.size, band):
+        # the last band overlaps the one before it, so that all have one shape
+        begin = min(start, y.size - band)
+        rows = y[begin : begin + band]
+        heights[begin : begin + band] = _cut(
+            surface, x, rows, cutter, passings, tile=(band, tile[1]), **settings
+        )
+        if progress is not None:
+            progress((begin + band) * x.size, heights.size)
+    return heights
+
+
+def milled_marks(
+    milled: MilledSurface,
+    shape: tuple[int, int],
+    passes: int = 5,
+    reach: int | None = None,
+    cutter: Cutter | None = None,
+    width: Scalar | float | None = None,
+    candidates: int = 24,
+) -> tuple[Float[Array, "ny nx"], Float[Array, "2"]]:
+    r"""Height map of a plane milled tooth by tooth, and its spacing [mm].
+
+    It holds one turn of the spindle along x, the feed, and `passes` parallel passes along
+    y, and repeats itself without a seam. Nobody synchronises the spindle with the passes,
+    so that marks of neighbouring passes are shifted by any part of the feed: the map has
+    them by 0, 1/n, ... (n - 1)/n of it. That repeats after n passes where n is odd.
+
+    Args:
+        milled: How the surface is milled; its corner and outer radius where no cutter is
+            given.
+        shape: Points along y and along x.
+        passes: Number of passes n, odd.
+        reach: Teeth before and after that may cut the same line, static; by default as
+            many as there are feeds in the cutter's radius, for which `milled` must be
+            known numbers.
+        cutter: The tool; one with a single tooth by default.
+        width: Width of a smooth minimum [mm]; none for the least.
+        candidates: Passings that each row of the map looks at.
+
+    Returns:
+        The heights above the plane as drawn, and the distances of neighbours along y, x.
+
+    Raises:
+        ValueError: if `passes` is even.
+
+    Source: Own derivation, with the geometry of S2.
+    """
+    if passes % 2 == 0:
+        raise ValueError(f"`passes` is {passes}, must be odd: shifts would not repeat.")
+    if cutter is None:
+        cutter = Cutter(milled.outer_radius, milled.corner_radius)
+    turn = cutter.teeth * milled.feed_per_tooth
+    if reach is None:
+        reach = 2 + int(float(cutter.outer_radius / milled.feed_per_tooth))
+    period = jnp.stack([passes * milled.step, turn])
+    spacing = period / jnp.asarray(shape, dtype=period.dtype)
+    y, x = (
+        (jnp.arange(n, dtype=period.dtype) + 0.5) * d
+        for n, d in zip(shape, spacing, strict=True)
+    )
+    plane = Plane(jnp.zeros_like(period))
+    teeth = _lattice(milled, cutter, passes, reach)
+    rows = max(1, min(shape[0], shape[0] // (4 * passes)))
+    tile = (rows, shape[1])
+    return cut(plane, x, y, cutter, teeth, candidates, tile, width=width), spacing
+
+
+def removed_volume(
+    surface: Surface,
+    x: Float[Array, " nx"],
+    y: Float[Array, " ny"],
+    heights: Float[Array, "ny nx"],
+) -> Scalar:
+    r"""Volume between the part as drawn and heights along its normals [mm^3].
+
+    $V = -\int (h + \tfrac12 h^2 \mathrm{tr} K + \tfrac13 h^3 \det K)\, dA$: the normals of
+    a curved part spread, so that a layer above it is larger than one below it. Positive
+    where material is missing. Exact for each line; the sum is the midpoint rule.
+
+    Args:
+        surface: The part as drawn.
+        x: Grid of the lines along x of the parameter plane, evenly spaced [mm].
+        y: Grid of the lines along y, evenly spaced [mm].
+        heights: Heights along the normals [mm].
+
+    Source: Own derivation (Steiner's formula).
+    """
+
+    def column(xy: Float[Array, "2"], h: Scalar) -> Scalar:
+        tangents, n = jacobian(surface, xy), normal(surface, xy)
+        f = tangents[:, 0] / jnp.sqrt(jnp.sum(tangents[:, 0] ** 2))
+        bend = curvature(surface, xy, f, jnp.cross(n, f))
+        sum_, product = bend[0, 0] + bend[1, 1], jnp.linalg.det(bend)
+        depth = -h * (1 + h * (sum_ / 2 + h * product / 3))
+        return depth * area_stretch(surface, xy)
+
+    xy = jnp.stack(jnp.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    depths = jax.lax.map(lambda at: column(*at), (xy, heights.reshape(-1)), batch_size=4096)
+    return jnp.sum(depths) * (x[1] - x[0]) * (y[1] - y[0])
+
+
+def _lattice(milled: MilledSurface, cutter: Cutter, passes: int, reach: int) -> Passings:
+    """Passings of parallel passes on a plane, shifted as `milled_marks` says."""
+    n, m = passes, reach
+    # passes on either side that may still cut the rows of this period
+    beyond = 3
+    j = jnp.arange(-beyond, n + beyond)
+    k = jnp.arange(-m, cutter.teeth + m)
+    feed, dtype = milled.feed_per_tooth, milled.step.dtype
+    # whole teeth are a pattern of their own: the remainder is all that matters
+    shift = (j * (j - 1) // 2 % n).astype(dtype) / n * cutter.teeth
+    along = (k.astype(dtype)[None, :] + shift[:, None]) * feed
+    across = jnp.broadcast_to((j.astype(dtype) + 0.5)[:, None] * milled.step, along.shape)
+    tilt, yaw = milled.tilt, milled.yaw
+    zero, one = jnp.zeros_like(tilt), jnp.ones_like(tilt)
+    n_, lean = jnp.stack([zero, zero, one]), jnp.stack([jnp.cos(yaw), jnp.sin(yaw), zero])
+    axis = jnp.cos(tilt) * n_ + jnp.sin(tilt) * lean
+    towards = jnp.cos(tilt) * lean - jnp.sin(tilt) * n_
+    offset = cutter.corner_radius * n_ - cutter.ring * towards
+    contact = jnp.stack([along, across, jnp.zeros_like(along)], axis=-1)
+
+    def same(vector: Float[Array, "3"]) -> Float[Array, "j k 3"]:
+        return jnp.broadcast_to(vector, contact.shape)
+
+    per_angle = -feed * cutter.teeth / (2 * jnp.pi)  # clockwise
+    still = jnp.zeros_like(contact)
+    return several(
+        Passings(
+            centre=contact + same(offset),
+            slope=same(per_angle * jnp.stack([one, zero, zero])),
+            bend=still,
+            axis=same(axis),
+            axis_slope=still,
+            towards=same(towards),
+            towards_slope=still,
+            tooth=jnp.broadcast_to(k % cutter.teeth, along.shape),
+        )
+    )
+
+
+def _lines(
+    surface: Surface, xy: Float[Array, "n 2"]
+) -> tuple[Float[Array, "3 n"], Float[Array, "3 n"]]:
+    """Feet and directions of the lines, components first."""
+    feet = jax.vmap(surface)(xy)
+    return feet.T, jax.vmap(functools.partial(normal, surface))(xy).T
+
+
+def _heights(
+    feet: Float[Array, "3 n"],
+    normals: Float[Array, "3 n"],
+    cutter: Cutter,
+    passings: Passings,
+    rounds: int,
+) -> Float[Array, "n m"]:
+    """Height at which each passing tooth cuts each line; infinite where it does not.
+
+    Newton's step towards the edge is never too long while the line is outside the tool,
+    so that a line the tooth misses is never cut by mistake.
+    """
+
+    def each(x: Float[Array, "m 3"]) -> Float[Array, "3 1 m"]:
+        return x.T[:, None, :]
+
+    p, n = feet[:, :, None], normals[:, :, None]
+    # vectors have their three components in front, and numbers one
+    ring = (cutter.ring + cutter.runout[passings.tooth])[None, None, :]
+    angle = h = jnp.zeros_like(p[:1] + ring)
+    cuts = jnp.ones_like(h, dtype=bool)
+    for _ in range(rounds):
+        axis = each(passings.axis) + angle * each(passings.axis_slope)
+        towards = each(passings.towards) + angle * each(passings.towards_slope)
+        moved = angle * (each(passings.slope) + 0.5 * angle * each(passings.bend))
+        q = p + h * n - each(passings.centre) - moved
+        above = _dot(q, axis)
+        out = q - above * axis
+        square = _dot(out, out)
+        # on the axis of a ball there is no direction: any will do, with no gradient
+        off = square > 0
+        radius = jnp.where(off, jnp.sqrt(jnp.where(off, square, 1.0)), 0.0)
+        gap = radius - ring
+        if cutter.flat:
+            gap = jnp.maximum(gap, 0.0)
+        distance = jnp.sqrt(gap**2 + above**2)
+        outward = gap * _dot(out, n) / jnp.where(off, radius, 1.0) + above * _dot(axis, n)
+        cuts = cuts & (outward < -FLANK * distance)
+        fall = jnp.where(cuts, outward, -1.0)
+        away = jnp.where(cuts, distance, 1.0)
+        h = h - (away - cutter.corner_radius) * away / fall
+        ahead = jnp.where(off, _dot(out, towards), 1.0)
+        aside = jnp.where(off, _dot(out, _cross(axis, towards)), 0.0)
+        angle = jnp.arctan2(aside, ahead)
+    return jnp.where(cuts, h, jnp.inf)[0]
+
+
+def _least(
+    h: Float[Array, "n m"], width: Scalar | float | None, stock: Scalar | float
+) -> Float[Array, " n"]:
+    """The least height on each line, or a smooth one below it."""
+    if width is None:
+        return jnp.minimum(jnp.min(h, axis=1), stock)
+    whole = jnp.concatenate([h, jnp.full_like(h[:, :1], stock)], axis=1)
+    return -width * jax.nn.logsumexp(-whole / width, axis=1)
+
+
+def _dot(a: Float[Array, "3 ..."], b: Float[Array, "3 ..."]) -> Float[Array, "1 ..."]:
+    return a[:1] * b[:1] + a[1:2] * b[1:2] + a[2:] * b[2:]
+
+
+def _cross(a: Float[Array, "3 ..."], b: Float[Array, "3 ..."]) -> Float[Array, "3 ..."]:
+    x, y, z = a
+    u, v, w = b
+    return jnp.stack([y * w - z * v, z * u - x * w, x * v - y * u])
