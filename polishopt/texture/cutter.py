@@ -50,13 +50,13 @@ class Cutter(eqx.Module):
 class Postures(eqx.Module):
     """The tool along one pass, sample by sample, in the part frame."""
 
-    contact: Float[Array, "n 3"]
+    contact: Float[Array, "*n 3"]
     """Contact point on the part as drawn [mm]."""
-    centre: Float[Array, "n 3"]
+    centre: Float[Array, "*n 3"]
     """Centre of the circle on which the centres of the edges run [mm]."""
-    axis: Float[Array, "n 3"]
+    axis: Float[Array, "*n 3"]
     """Tool axis, into the spindle, u [-]."""
-    towards: Float[Array, "n 3"]
+    towards: Float[Array, "*n 3"]
     """Unit vector across the axis, from it towards the contact, d [-]."""
 
 
@@ -67,21 +67,21 @@ class Passings(eqx.Module):
     counter-clockwise as seen from the spindle.
     """
 
-    centre: Float[Array, "m 3"]
+    centre: Float[Array, "*m 3"]
     """Centre of the circle on which the centres of the edges run [mm]."""
-    slope: Float[Array, "m 3"]
+    slope: Float[Array, "*m 3"]
     """Its change [mm/rad]."""
-    bend: Float[Array, "m 3"]
+    bend: Float[Array, "*m 3"]
     """The change of that [mm/rad^2]."""
-    axis: Float[Array, "m 3"]
+    axis: Float[Array, "*m 3"]
     """Tool axis [-]."""
-    axis_slope: Float[Array, "m 3"]
+    axis_slope: Float[Array, "*m 3"]
     """Its change [1/rad]."""
-    towards: Float[Array, "m 3"]
+    towards: Float[Array, "*m 3"]
     """Direction of the tooth [-]."""
-    towards_slope: Float[Array, "m 3"]
+    towards_slope: Float[Array, "*m 3"]
     """Its change with the lean of the tool, not with the turn of the spindle [1/rad]."""
-    tooth: Int[Array, " m"]
+    tooth: Int[Array, "*m"]
     """Which tooth it is."""
 
 
@@ -256,8 +256,6 @@ def _interpolate(
 
         axis, towards = unit(between(pass_.axis)), between(pass_.towards)
         across = towards - jnp.sum(towards * axis, axis=1, keepdims=True) * axis
-        return Postures(
-            between(pass_.contact), between(pass_.centre), axis, unit(across)
-        )
+        return Postures(between(pass_.contact), between(pass_.centre), axis, unit(across))
 
     return at

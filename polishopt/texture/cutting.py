@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..parts import Scalar
-from ..path.surface import Plane, Surface, area_stretch, curvature, jacobian, normal
+from ..path.surface import Surface, area_stretch, curvature, jacobian, normal
 from .cutter import Cutter, Passings, several
 from .milling import MilledSurface
 
@@ -183,11 +183,10 @@ def milled_marks(
         (jnp.arange(n, dtype=period.dtype) + 0.5) * d
         for n, d in zip(shape, spacing, strict=True)
     )
-    plane = Plane(jnp.zeros_like(period))
     teeth = _lattice(milled, cutter, passes, reach)
     rows = max(1, min(shape[0], shape[0] // (4 * passes)))
     tile = (rows, shape[1])
-    return cut(plane, x, y, cutter, teeth, candidates, tile, width=width), spacing
+    return cut(_flat, x, y, cutter, teeth, candidates, tile, width=width), spacing
 
 
 def removed_volume(
@@ -261,6 +260,11 @@ def _lattice(milled: MilledSurface, cutter: Cutter, passes: int, reach: int) -> 
             tooth=jnp.broadcast_to(k % cutter.teeth, along.shape),
         )
     )
+
+
+def _flat(xy: Float[Array, "2"]) -> Float[Array, "3"]:
+    """The plane, in the precision of its points."""
+    return jnp.concatenate([xy, jnp.zeros_like(xy[:1])])
 
 
 def _lines(
