@@ -160,7 +160,7 @@ def milled_marks(
             known numbers.
         cutter: The tool; one with a single tooth by default.
         width: Width of a smooth minimum [mm]; none for the least.
-        candidates: Passings that each row of the map looks at.
+        candidates: Passings that each tile of the map, a quarter of a pass, looks at.
 
     Returns:
         The heights above the plane as drawn, and the distances of neighbours along y, x.
@@ -174,9 +174,22 @@ def milled_marks(
         raise ValueError(f"`passes` is {passes}, must be odd: shifts would not repeat.")
     if cutter is None:
         cutter = Cutter(milled.outer_radius, milled.corner_radius)
-    turn = cutter.teeth * milled.feed_per_tooth
     if reach is None:
         reach = 2 + int(float(cutter.outer_radius / milled.feed_per_tooth))
+    return _marks(milled, cutter, shape, passes, reach, candidates, width)
+
+
+@eqx.filter_jit
+def _marks(
+    milled: MilledSurface,
+    cutter: Cutter,
+    shape: tuple[int, int],
+    passes: int,
+    reach: int,
+    candidates: int,
+    width: Scalar | float | None,
+) -> tuple[Float[Array, "ny nx"], Float[Array, "2"]]:
+    turn = cutter.teeth * milled.feed_per_tooth
     period = jnp.stack([passes * milled.step, turn])
     spacing = period / jnp.asarray(shape, dtype=period.dtype)
     y, x = (
@@ -184,8 +197,7 @@ def milled_marks(
         for n, d in zip(shape, spacing, strict=True)
     )
     teeth = _lattice(milled, cutter, passes, reach)
-    rows = max(1, min(shape[0], shape[0] // (4 * passes)))
-    tile = (rows, shape[1])
+    tile = (max(1, shape[0] // (4 * passes)), shape[1])
     return cut(_flat, x, y, cutter, teeth, candidates, tile, width=width), spacing
 
 
