@@ -1,11 +1,15 @@
 """Milling tooth by tooth, against swept volumes, solved edges and the printed tables."""
 
+from pathlib import Path
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close, assert_gradient
+from polishopt.files.assemble import job
+from polishopt.files.config import load
 from polishopt.machine.feed import limiting_name
 from polishopt.parts import Machine
 from polishopt.path.surface import (
@@ -257,7 +261,7 @@ TABLE_2 = [
     (0, 10, 4000, 1.21, 15.7, 2.56),
     (20, 10, 4000, 0.46, 5.63, 1.05),
 ]
-REACH = 40  # teeth; the finest feed needs 5 mm / 0.133 mm
+REACH = (3, 40)  # passes, teeth; the finest feed needs 5 mm / 0.133 mm
 
 
 def milled(case):
@@ -284,15 +288,24 @@ def test_table_2_has_converged():
     fine = parameters(jit_marks(case, (280, 80), 7, REACH)[0])
     for name in ("Sa", "Sq", "Ssk", "Sku"):
         assert_close(getattr(coarse, name), getattr(fine, name), rtol=0.01)
-    more, _ = jit_marks(case, (140, 40), 7, 60, candidates=60)
+    more, _ = jit_marks(case, (140, 40), 7, (6, 60), candidates=60)
     assert_close(more, z, atol=1e-12)
     assert_close(spacing, [7 * 0.46 / 140, 4000 / 15000 / 40])
+
+
+def test_a_config_can_start_from_the_marks_of_the_teeth():
+    """The config of this paper starts from the fourth case."""
+    config = load(Path(__file__).parent.parent / "configs" / "quinsat2011.yaml").config
+    start = job(config).setup.start
+    assert_close(1e3 * parameters(start.heights).Sa, TABLE_2[3][-1], rtol=0.1)
+    sides = np.asarray(start.spacing) * start.heights.shape
+    assert_close(sides, [5 * 0.46, 0.2667])
 
 
 def test_marks_of_narrow_passes_are_the_crossed_cusps():
     """Nearly in step and without yaw, the analytic map is the limit of short feeds."""
     short = MilledSurface(5.0, 1.5, np.radians(10), 0.0, 0.3, 0.03)
-    z, _ = jit_marks(short, (40, 20), 1, 170)
+    z, _ = jit_marks(short, (40, 20), 1, (8, 170))
     want, _ = milled_map(short, (40, 20))
     got, want = parameters(z), parameters(want)
     assert_close(got.Sa, want.Sa, rtol=0.02)
@@ -331,7 +344,7 @@ def test_single_precision():
 def test_gradients_through_the_smooth_minimum():
     def marks(x):
         case = MilledSurface(5.0, 1.5, x[0], x[1], x[2], x[3])
-        z, _ = milled_marks(case, (6, 4), 1, 6, width=2e-4, candidates=12)
+        z, _ = milled_marks(case, (6, 4), 1, (2, 3), width=2e-4, candidates=8)
         return z.ravel() * 1e3
 
     x = jnp.asarray([0.17, 0.35, 0.46, 0.27])
@@ -339,10 +352,10 @@ def test_gradients_through_the_smooth_minimum():
     # it lies below the least, by no more than the number of teeth can bring it
     case = MilledSurface(5.0, 1.5, *x)
     soft = 1e-3 * jax.jit(marks)(x).reshape(6, 4)
-    hard, _ = jit_marks(case, (6, 4), 1, 6, candidates=12)
+    hard, _ = jit_marks(case, (6, 4), 1, (2, 3), candidates=8)
     below = np.asarray(hard - soft)
     assert (below > -1e-15).all()
-    assert (below < 2e-4 * np.log(12)).all()
+    assert (below < 2e-4 * np.log(8)).all()
     assert below.max() > 1e-5
 
 
@@ -363,6 +376,9 @@ def test_bands_give_the_same_map_and_say_how_far_they_are():
     )
     assert_close(bands, whole, atol=1e-9)
     assert said == [(8 * 30, 630), (16 * 30, 630), (630, 630)]
+    # a tile that would have to guess does not
+    with pytest.raises(ValueError, match="smaller `tile` or more `candidates`"):
+        topography(surface, x, y, cutter, teeth, tile=(8, 8), candidates=2)
 
 
 def test_feed_on_the_saddle_halves_in_the_middle():

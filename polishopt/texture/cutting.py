@@ -9,6 +9,7 @@ digits. The least of the heights is left. Cutting forces and burrs are left out.
 """
 
 import functools
+import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -20,7 +21,7 @@ from jaxtyping import Array, Float
 from ..parts import Scalar
 from ..path.surface import Surface, area_stretch, curvature, jacobian, normal
 from .cutter import Cutter, Passings, several
-from .milling import MilledSurface
+from .milling import MilledSurface, Sz_analytic, envelope_curvature
 
 
 # An edge that meets a line at a flatter angle than this cosine is its flank, which does
@@ -62,7 +63,8 @@ def cut(
         stock: Height of the part before milling; infinite where all of it is cut [mm].
 
     Returns:
-        The heights. They are infinite where nothing cuts and no `stock` is given.
+        The heights. They are infinite where nothing cuts and no `stock` is given, and NaN
+        on tiles whose corners are cut by a passing that is not among their candidates.
 
     Source: S2 section 2 (N-buffer); the iteration is an own derivation.
     """
@@ -74,22 +76,32 @@ def cut(
     columns = jnp.pad(x, (0, nx * tx - x.size), mode="edge").reshape(nx, tx)
     rows = jnp.pad(y, (0, ny * ty - y.size), mode="edge").reshape(ny, ty)
 
+    ends = jnp.asarray([0, -1])
+
     def one(place: tuple[Float[Array, " ty"], Float[Array, " tx"]]):
         rows, columns = place
         middle = jnp.stack([jnp.mean(columns), jnp.mean(rows)])[None]
-        first = _heights(*_lines(surface, middle), cutter, passings, 1)[0]
-        _, chosen = jax.lax.top_k(-jax.lax.stop_gradient(first), candidates)
+        corners = jnp.stack(jnp.meshgrid(columns[ends], rows[ends]), axis=-1)
+        probes = jnp.concatenate([middle, corners.reshape(-1, 2)])
+        first = _heights(*_lines(surface, probes), cutter, passings, 1)
+        first = jax.lax.stop_gradient(first)
+        _, chosen = jax.lax.top_k(-first[0], candidates)
         near = jax.tree.map(lambda leaf: leaf[chosen], passings)
+        enough = jnp.all(jnp.min(first[:, chosen], axis=1) <= jnp.min(first, axis=1))
         xy = jnp.stack(jnp.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
         h = _heights(*_lines(surface, xy), cutter, near, rounds)
-        return _least(h, width, stock).reshape(rows.size, columns.size)
+        least = jnp.where(enough, _least(h, width, stock), jnp.nan)
+        return least.reshape(rows.size, columns.size)
 
+    most = max(1, AT_ONCE // (ty * tx * candidates))
+    # without a remainder, which would be compiled once more
+    batch = max(n for n in range(1, most + 1) if nx * ny % n == 0)
     across, down = jnp.arange(nx), jnp.arange(ny)
     place = (jnp.repeat(down, nx), jnp.tile(across, ny))
     tiles = jax.lax.map(
         jax.checkpoint(lambda ij: one((rows[ij[0]], columns[ij[1]]))),
         place,
-        batch_size=max(1, AT_ONCE // (ty * tx * candidates)),
+        batch_size=batch,
     )
     whole = tiles.reshape(ny, nx, ty, tx).transpose(0, 2, 1, 3)
     return whole.reshape(ny * ty, nx * tx)[: y.size, : x.size]
@@ -119,6 +131,9 @@ def topography(
         progress: Called after each band with the number of lines done and of all lines.
         tile: Lines of a tile along y and x; a band is one tile wide.
         **settings: Other settings of `cut`.
+
+    Raises:
+        ValueError: if a tile has too few candidates.
     """
     heights = np.empty((y.size, x.size), dtype=x.dtype)
     band = min(tile[0], y.size)
@@ -129,6 +144,12 @@ def topography(
         heights[begin : begin + band] = _cut(
             surface, x, rows, cutter, passings, tile=(band, tile[1]), **settings
         )
+        if np.isnan(heights[begin : begin + band]).any():
+            size = tuple(float(abs(v[1] - v[0])) * n for v, n in ((y, band), (x, tile[1])))
+            raise ValueError(
+                f"Tiles of {size[0]:.3g} x {size[1]:.3g} mm see more passings than they "
+                "have candidates: give a smaller `tile` or more `candidates`."
+            )
         if progress is not None:
             progress((begin + band) * x.size, heights.size)
     return heights
@@ -138,10 +159,10 @@ def milled_marks(
     milled: MilledSurface,
     shape: tuple[int, int],
     passes: int = 5,
-    reach: int | None = None,
+    reach: tuple[int, int] | None = None,
     cutter: Cutter | None = None,
     width: Scalar | float | None = None,
-    candidates: int = 24,
+    candidates: int = 32,
 ) -> tuple[Float[Array, "ny nx"], Float[Array, "2"]]:
     r"""Height map of a plane milled tooth by tooth, and its spacing [mm].
 
@@ -155,15 +176,15 @@ def milled_marks(
             given.
         shape: Points along y and along x.
         passes: Number of passes n, odd.
-        reach: Teeth before and after that may cut the same line, static; by default as
-            many as there are feeds in the cutter's radius, for which `milled` must be
-            known numbers.
+        reach: Passes on either side, and teeth before and after, that may cut the same
+            line; static. By default from `milled`, which must then be known numbers.
         cutter: The tool; one with a single tooth by default.
         width: Width of a smooth minimum [mm]; none for the least.
         candidates: Passings that each tile of the map, a quarter of a pass, looks at.
 
     Returns:
-        The heights above the plane as drawn, and the distances of neighbours along y, x.
+        The heights above the plane as drawn (NaN as in `cut`), and the distances of
+        neighbours along y and x.
 
     Raises:
         ValueError: if `passes` is even.
@@ -175,7 +196,7 @@ def milled_marks(
     if cutter is None:
         cutter = Cutter(milled.outer_radius, milled.corner_radius)
     if reach is None:
-        reach = 2 + int(float(cutter.outer_radius / milled.feed_per_tooth))
+        reach = _reach(milled)
     return _marks(milled, cutter, shape, passes, reach, candidates, width)
 
 
@@ -185,7 +206,7 @@ def _marks(
     cutter: Cutter,
     shape: tuple[int, int],
     passes: int,
-    reach: int,
+    reach: tuple[int, int],
     candidates: int,
     width: Scalar | float | None,
 ) -> tuple[Float[Array, "ny nx"], Float[Array, "2"]]:
@@ -235,11 +256,24 @@ def removed_volume(
     return jnp.sum(depths) * (x[1] - x[0]) * (y[1] - y[0])
 
 
-def _lattice(milled: MilledSurface, cutter: Cutter, passes: int, reach: int) -> Passings:
+def _reach(milled: MilledSurface) -> tuple[int, int]:
+    """Passes and teeth on either side whose groove dips below the highest cusp.
+
+    A pass at the distance d is $d^2/2R_{app}$ higher than one straight above; teeth beyond
+    the outer radius cannot reach the line at all.
+    """
+    outer, step = float(milled.outer_radius), float(milled.step)
+    tool = (milled.outer_radius, milled.corner_radius, milled.tilt, milled.yaw)
+    bend, highest = float(envelope_curvature(*tool)), float(Sz_analytic(milled))
+    far = min(outer, math.sqrt(2 * highest / bend) if bend > 0 else outer)
+    return 2 + int(far / step), 2 + int(outer / float(milled.feed_per_tooth))
+
+
+def _lattice(
+    milled: MilledSurface, cutter: Cutter, passes: int, reach: tuple[int, int]
+) -> Passings:
     """Passings of parallel passes on a plane, shifted as `milled_marks` says."""
-    n, m = passes, reach
-    # passes on either side that may still cut the rows of this period
-    beyond = 3
+    n, (beyond, m) = passes, reach
     j = jnp.arange(-beyond, n + beyond)
     k = jnp.arange(-m, cutter.teeth + m)
     feed, dtype = milled.feed_per_tooth, milled.step.dtype
