@@ -298,7 +298,7 @@ def test_a_config_can_start_from_the_marks_of_the_teeth():
     config = load(Path(__file__).parent.parent / "configs" / "quinsat2011.yaml").config
     start = job(config).setup.start
     assert_close(1e3 * parameters(start.heights).Sa, TABLE_2[3][-1], rtol=0.1)
-    sides = np.asarray(start.spacing) * start.heights.shape
+    sides = np.asarray(start.spacing) * np.shape(start.heights)
     assert_close(sides, [5 * 0.46, 0.2667])
 
 
