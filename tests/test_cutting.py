@@ -27,7 +27,8 @@ from polishopt.texture.cutter import (
     several,
     true_feed,
 )
-from polishopt.texture.cutting import cut, milled_marks, removed_volume, topography
+from polishopt.texture.cutting import cut, removed_volume, topography
+from polishopt.texture.marks import milled_marks
 from polishopt.texture.milling import MilledSurface, cusp_heights, milled_map
 from scipy.optimize import fsolve
 
@@ -68,7 +69,7 @@ def steady(pass_, cutter, per_turn, turned=0.0):
     return jit_passings(pass_, time, speed, spin, cutter, count, turned)
 
 
-BALL, DEPTH = 3.0, 0.02
+BALL, DEPTH = 3.0, 0.05
 
 
 def groove(surface, reach, half_width):
@@ -92,28 +93,28 @@ def lens_moment(R, c):
     return c * (BALL**2 * np.arccos(d / BALL) - d * np.sqrt(BALL**2 - d**2))
 
 
-@pytest.mark.parametrize("radius", [40.0, -40.0])
+@pytest.mark.parametrize("radius", [20.0, -20.0])
 def test_groove_on_a_sphere_has_the_volume_of_a_turned_lens(radius):
     """Pappus: a great circle turns the lens about the middle of the sphere."""
     reach, R = 0.3, abs(radius)
     surface = SphereCap([20.0, 20.0], radius)
-    x, y, h = groove(surface, reach, 0.6)
+    x, y, h = groove(surface, reach, 0.8)
     assert float(jnp.min(h)) < -0.9 * DEPTH
     if radius > 0:
         moment = lens_moment(R, R + BALL - DEPTH)
     else:  # all of the ball but what lies inside the hollow sphere
         c = R - BALL + DEPTH
         moment = np.pi * BALL**2 * c - lens_moment(R, c)
-    # a row at y spans a little more than the middle one, by (y/R)^2/2 < 4e-5
+    # a row at y spans a little more than the middle one, by (y/R)^2/2 < 5e-4 at its edge
     wedge = 2 * np.arcsin(reach / R)
-    assert_close(jit_volume(surface, x, y, h), moment * wedge, rtol=1e-3)
+    assert_close(jit_volume(surface, x, y, h), moment * wedge, rtol=3e-4)
 
 
 def test_groove_on_a_saddle_has_the_volume_of_the_swept_tube():
     """Polar slices across the curve that the ball's centre runs on."""
     w, reach = 0.02, 2.0
     surface = HyperbolicParaboloid([20.0, 20.0], w)
-    x, y, h = groove(surface, reach, 0.6)
+    x, y, h = groove(surface, reach, 0.8)
 
     def centre(t):
         s = np.sqrt(1 + (w * t) ** 2)
@@ -147,7 +148,7 @@ def test_groove_on_a_saddle_has_the_volume_of_the_swept_tube():
 
     nodes, weights = np.polynomial.legendre.leggauss(8)
     want = reach * sum(k * section(reach * t) for t, k in zip(nodes, weights, strict=True))
-    assert_close(jit_volume(surface, x, y, h), want, rtol=1e-3)
+    assert_close(jit_volume(surface, x, y, h), want, rtol=3e-4)
 
 
 def test_heights_are_those_of_the_edges_themselves():
@@ -297,6 +298,7 @@ def test_a_config_can_start_from_the_marks_of_the_teeth():
     """The config of this paper starts from the fourth case."""
     config = load(Path(__file__).parent.parent / "configs" / "quinsat2011.yaml").config
     start = job(config).setup.start
+    assert start.heights is not None
     assert_close(1e3 * parameters(start.heights).Sa, TABLE_2[3][-1], rtol=0.1)
     sides = np.asarray(start.spacing) * np.shape(start.heights)
     assert_close(sides, [5 * 0.46, 0.2667])
@@ -308,7 +310,7 @@ def test_marks_of_narrow_passes_are_the_crossed_cusps():
     z, _ = jit_marks(short, (40, 20), 1, (8, 170))
     want, _ = milled_map(short, (40, 20))
     got, want = parameters(z), parameters(want)
-    assert_close(got.Sa, want.Sa, rtol=0.02)
+    assert_close(got.Sa, want.Sa, rtol=2e-3)
     assert_close(got.Sz, want.Sz, rtol=0.02)
 
 
@@ -338,7 +340,7 @@ def test_single_precision():
     cutter = jax.tree.map(lambda x: x.astype(jnp.float32), cutter)
     z32, _ = jit_marks(half, (30, 12), 3, REACH, cutter)
     assert z32.dtype == jnp.float32
-    assert_close(z32, z, atol=2e-6)  # 2 nm of marks of 9 um
+    assert_close(z32, z, atol=1e-6)  # 1 nm of marks of 9 um
 
 
 def test_gradients_through_the_smooth_minimum():

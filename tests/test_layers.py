@@ -14,8 +14,8 @@ units parts
 path.surface path.corner path.guide path.trochoid path.toolpath path
 machine.kinematics machine.sweep machine.feed machine.loop machine
 contact.pressure contact.removal contact.ripple contact
-texture.areal texture.milling texture.cutter texture.cutting texture.planarisation
-texture.scratches texture.evolution texture
+texture.areal texture.milling texture.cutter texture.cutting texture.marks
+texture.planarisation texture.scratches texture.evolution texture
 setup chain resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.auglag optimize.tune optimize.sensitivity optimize

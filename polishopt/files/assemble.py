@@ -13,7 +13,7 @@ from ..parts import AXES, Abrasive, Machine, Process, Tool, as_scalar
 from ..path.guide import hilbert, lines
 from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
 from ..texture.areal import Cumulants
-from ..texture.cutting import milled_marks
+from ..texture.marks import milled_marks
 from ..texture.milling import MilledSurface, milled_map
 from ..texture.scratches import Scratches, groove_cumulants
 from .config import Config

@@ -22,7 +22,6 @@ from .cutter import (
 )
 from .cutting import (
     cut as cut,
-    milled_marks as milled_marks,
     removed_volume as removed_volume,
     topography as topography,
 )
@@ -32,6 +31,7 @@ from .evolution import (
     draw_patch as draw_patch,
     ripple_cumulants as ripple_cumulants,
 )
+from .marks import milled_marks as milled_marks
 from .milling import (
     MilledSurface as MilledSurface,
     Sz_analytic as Sz_analytic,
