@@ -60,7 +60,7 @@ def straight(surface, cutter, x, y, samples=601, tilt=30.0, yaw=20.0, depth=0.0)
     return jit_postures(surface, xy, jnp.zeros(samples), cutter, *angles, depth)
 
 
-def steady(pass_, cutter, per_turn, turned=0.0):
+def steady(pass_, cutter, per_turn, turned: jax.Array | float = 0.0):
     """Passings at a constant feed."""
     time = arc_length(pass_) / 20.0
     spin = jnp.asarray(2 * np.pi * 20.0 / per_turn)
