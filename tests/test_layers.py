@@ -16,8 +16,8 @@ machine.kinematics machine.sweep machine.feed machine.loop machine
 contact.pressure contact.removal contact.ripple contact
 texture.filters texture.areal texture.hybrid texture.spatial texture.functional
 texture.feature texture.uncertainty texture.parameters
-texture.milling texture.planarisation texture.scratches texture.evolution
-texture
+texture.milling texture.cutter texture.cutting texture.marks
+texture.planarisation texture.scratches texture.evolution texture
 setup chain resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.auglag optimize.tune optimize.sensitivity optimize

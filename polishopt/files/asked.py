@@ -4,7 +4,7 @@ The process values to set or to tune, the surface to start from, the texture to 
 the limits to keep.
 """
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -49,6 +49,8 @@ class Milled(Section):
     """Distance between neighbouring passes."""
     feed_per_tooth_mm: Annotated[float, Between("(0, 20]")]
     """Feed per cutting edge."""
+    marks: Literal["scallops", "per_tooth"] = "scallops"
+    """Scallops: crossed parabolic cusps. Per tooth: the sweep of every single tooth."""
 
     @model_validator(mode="after")
     def _corner_fits(self):

@@ -13,6 +13,7 @@ from ..parts import AXES, Abrasive, Machine, Process, Scalar, Tool, as_scalar
 from ..path.guide import hilbert, lines
 from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
 from ..texture.areal import Cumulants
+from ..texture.marks import milled_marks
 from ..texture.milling import MilledSurface, milled_map
 from ..texture.scratches import Scratches, groove_cumulants
 from .config import Config
@@ -25,8 +26,10 @@ NAMES = {"spindle": "spin"}
 # An earlier grade has polished for so long that its scratches are steady: removal in
 # units of its grains' diameter, far beyond the depth over which a scratch fades.
 LONG_AGO = 100.0
-# Points of a milled map along each side; periods of the milling marks that it holds.
-MILLED_PIXELS = 64
+# Points along y and x of a milled map: of one period of the cusps, or of five passes
+# tooth by tooth.
+SCALLOP_PIXELS = (64, 64)
+TOOTH_PIXELS = (100, 40)
 
 
 class Job(eqx.Module):
@@ -163,9 +166,13 @@ def start(config: Config) -> jobs.Start:
         )
     if asked.milled is None:
         return jobs.Start(scratches=scratches)
-    shape = (MILLED_PIXELS, MILLED_PIXELS)
-    milled = MilledSurface(**internal(asked.milled))
-    heights, spacing = eqx.filter_jit(milled_map)(milled, shape)
+    given = internal(asked.milled)
+    by_tooth = given.pop("marks") == "per_tooth"
+    milled = MilledSurface(**given)
+    if by_tooth:
+        heights, spacing = milled_marks(milled, TOOTH_PIXELS)
+    else:
+        heights, spacing = eqx.filter_jit(milled_map)(milled, SCALLOP_PIXELS)
     return jobs.Start(scratches=scratches, heights=heights, spacing=spacing)
 
 

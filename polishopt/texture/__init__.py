@@ -8,6 +8,21 @@ from .areal import (
     height_parameters as height_parameters,
     parameters_from_cumulants as parameters_from_cumulants,
 )
+from .cutter import (
+    Cutter as Cutter,
+    Passings as Passings,
+    Postures as Postures,
+    passing_count as passing_count,
+    passings as passings,
+    postures as postures,
+    several as several,
+    true_feed as true_feed,
+)
+from .cutting import (
+    cut as cut,
+    removed_volume as removed_volume,
+    topography as topography,
+)
 from .evolution import (
     Texture as Texture,
     combine as combine,
@@ -32,6 +47,7 @@ from .hybrid import (
     HybridParameters as HybridParameters,
     hybrid_parameters as hybrid_parameters,
 )
+from .marks import milled_marks as milled_marks
 from .milling import (
     MilledSurface as MilledSurface,
     Sz_analytic as Sz_analytic,
