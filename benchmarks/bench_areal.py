@@ -96,7 +96,7 @@ def main():
         "hybrid": lambda z: hybrid_parameters(z, 1.0),
         "functional": functional_parameters,
         "all parameters": lambda z: areal_parameters(z, 1.0),
-        "standard errors": lambda z: standard_errors(z, 1.0),
+        "standard errors": standard_errors,
     }
     for name, f in cases.items():
         made[name], compiling[name] = compiled(f, map)

@@ -6,7 +6,9 @@ neighbours, and it is not biased towards zero at long lags: every lag is average
 the pairs of points it has. The lay comes from the spectrum.
 """
 
+import functools
 import math
+import operator
 
 import equinox as eqx
 import jax
@@ -23,11 +25,13 @@ from .filters import Spacing
 # value of the autocorrelation at which heights count as independent (ISO 25178-3)
 DECAYED = 0.2
 # The angular spectrum is sampled this finely, and seen through a window of this half-width:
-# a map of a hundred points a side tells directions apart no better.
+# a map that holds ten waves tells directions apart no better.
 ANGLES = 360
-HALF_WIDTH = math.radians(5.0)
+HALF_WIDTH = math.radians(10.0)
 # halvings of an interval that leave no digit of a double
 HALVINGS = 52
+# places of the six values around an interval, which a polynomial joins
+TAPS = (-2, -1, 0, 1, 2, 3)
 
 
 class SpatialParameters(eqx.Module):
@@ -89,15 +93,14 @@ def autocorrelation(z: Float[Array, "ny nx"]) -> Float[Array, "my mx"]:
     return jnp.where(found, product / product[ny - 1, nx - 1], jnp.nan)
 
 
-def _cubic(v: Float[Array, "4 n"], t: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Cubic through four values at -1, 0, 1 and 2, seen at t."""
-    a, b, c, d = v
-    return (
-        -t * (t - 1.0) * (t - 2.0) / 6.0 * a
-        + (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0 * b
-        - (t + 1.0) * t * (t - 2.0) / 2.0 * c
-        + (t + 1.0) * t * (t - 1.0) / 6.0 * d
-    )
+def _between(v: Float[Array, "6 n"], t: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Polynomial through values at -2 to 3, seen at t from 0 to 1."""
+    total = jnp.zeros_like(t)
+    for i in TAPS:
+        others = [j for j in TAPS if j != i]
+        weight = functools.reduce(operator.mul, [(t - j) / (i - j) for j in others])
+        total = total + weight * v[i + 2]
+    return total
 
 
 def decay_lengths(
@@ -106,8 +109,9 @@ def decay_lengths(
     """Shortest and longest distance of decay of an autocorrelation to a level [mm].
 
     Rays leave lag zero in every direction that the border of the map tells apart, and
-    cross one row of lags, or one column, at each step; in between the values are
-    interpolated by cubics. Each ray ends where it first falls to the level.
+    cross one row of lags, or one column, at each step; in between values are interpolated
+    by polynomials through six. Each ray ends where it first falls to the level, with an
+    error of up to 2 % if that is 2.5 points away, and 0.2 % at four.
 
     Args:
         correlation: Autocorrelation, lag zero in the middle [-].
@@ -142,12 +146,11 @@ def decay_lengths(
         row = middle + stride_along * jnp.minimum(k, along)
         low = below.astype(k.dtype)
         around = [
-            flat[row + stride_across * jnp.clip(low + i, -across, across)]
-            for i in (-1, 0, 1, 2)
+            flat[row + stride_across * jnp.clip(low + i, -across, across)] for i in TAPS
         ]
-        on_it = place == below
         # a lag without pairs must not spoil a ray that passes beside it
-        return jnp.where(on_it, around[1], _cubic(jnp.stack(around), place - below))
+        between = _between(jnp.stack(around), place - below)
+        return jnp.where(place == below, around[2], between)
 
     def going(state):
         _, _, _, ended = state
@@ -157,36 +160,37 @@ def decay_lengths(
         k, last, kept, ended = state
         k = k + 1
         last = jnp.concatenate([last[1:], value(k)[None]])
-        fallen = (last[1] > level) & (last[2] <= level) & inside(k - 1)
+        fallen = (last[2] > level) & (last[3] <= level) & inside(k - 2)
         new = fallen & ~ended
-        start = (k - 2).astype(dtype)
+        start = (k - 3).astype(dtype)
         found = jnp.concatenate([last, jnp.broadcast_to(start, (1, 2 * rays))])
         kept = jnp.where(new[None], found, kept)
-        return k, last, kept, ended | fallen | ~inside(k - 1)
+        return k, last, kept, ended | fallen | ~inside(k - 2) | jnp.isnan(last[3])
 
-    one = jnp.ones((), int)
-    first = value(one)
-    start = jnp.stack([first, jnp.ones_like(first), first])
+    # the autocorrelation is the same at opposite lags; the first entry is moved out
+    first, second = value(jnp.ones((), int)), value(jnp.full((), 2))
+    one = jnp.ones_like(first)
     state = (
-        one,
-        jnp.concatenate([jnp.ones_like(first)[None], start]),
-        jnp.full((5, 2 * rays), jnp.nan, dtype),
+        jnp.full((), 2),
+        jnp.stack([one, second, first, one, first, second]),
+        jnp.full((7, 2 * rays), jnp.nan, dtype),
         jnp.zeros(2 * rays, bool),
     )
     _, _, kept, _ = jax.lax.while_loop(going, step, state)
-    a, b, c, d = kept[:4]
-    # beyond the border the last parabola goes on
-    window = jnp.stack([a, b, c, jnp.where(jnp.isnan(d), 3.0 * (c - b) + a, d)])
+    window, before = kept[:6], kept[6]
+    # without all six values, a straight line
+    whole = jnp.all(jnp.isfinite(window), axis=0)
 
     def halve(_, ends):
         low, high = ends
         mid = 0.5 * (low + high)
-        above = _cubic(window, mid) > level
+        line = window[2] + mid * (window[3] - window[2])
+        above = jnp.where(whole, _between(window, mid), line) > level
         return jnp.where(above, mid, low), jnp.where(above, high, mid)
 
     ends = (jnp.zeros(2 * rays, dtype), jnp.ones(2 * rays, dtype))
     low, high = jax.lax.fori_loop(0, HALVINGS, halve, ends)
-    steps = kept[4] + 0.5 * (low + high)
+    steps = before + 0.5 * (low + high)
     first_half = jnp.arange(2 * rays) < rays
     length = jnp.where(first_half, jnp.hypot(dx, slope * dy), jnp.hypot(dy, slope * dx))
     distance = steps * length
@@ -200,7 +204,7 @@ def angular_spectrum(
 
     The map is faded out towards its border by a Hann window, or a cross would stand in
     the spectrum. Power counts up to the highest frequency that both axes resolve, and is
-    summed under a window of 5 degrees to either side.
+    summed under a window of 10 degrees to either side.
 
     Args:
         z: Heights [mm]; NaN where not measured.
@@ -219,7 +223,10 @@ def angular_spectrum(
     )
     fade = jnp.asarray(fade, z.dtype)
     height = height - jnp.sum(fade * height) / jnp.sum(fade)
-    power = jnp.abs(jnp.fft.rfft2(fade * height)) ** 2 / (ny * nx * jnp.sum(fade**2))
+    # with as many zeros added, no wave falls between two modes
+    ny, nx = (int(next_fast_len(2 * n, real=True) or 0) for n in z.shape)
+    modes = jnp.fft.rfft2(fade * height, s=[ny, nx])
+    power = jnp.abs(modes) ** 2 / (ny * nx * jnp.sum(fade**2))
     # modes between zero and the highest frequency stand for their mirror images too
     twice = np.full(nx // 2 + 1, 2.0)
     twice[0] = 1.0
