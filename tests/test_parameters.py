@@ -1,4 +1,4 @@
-"""All parameters of ten surfaces, next to surfalize and, where it differs, a third opinion."""
+"""All parameters of ten surfaces, next to surfalize and, where needed, a third opinion."""
 
 import functools
 import warnings
@@ -79,9 +79,10 @@ def both(name):
 
 
 def quietly(ask):
-    """What surfalize says, without its warning that a parameter has no value."""
+    """What surfalize says, without its warnings of missing values and of oblong points."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
+        warnings.simplefilter("ignore", UserWarning)
         return ask()
 
 
@@ -123,7 +124,7 @@ def test_material_ratio(name):
     for part, want in exact.items():
         assert_close(getattr(p, part), want, rtol=1e-6)
         theirs_too = getattr(theirs, part)()
-        assert_close(getattr(p, part), theirs_too, rtol=0.01, atol=1e-3 * float(p.Sk))
+        assert_close(getattr(p, part), theirs_too, rtol=0.01, atol=2e-3 * float(p.Sk))
 
 
 def decay_by_splines(z, spacing):
@@ -134,7 +135,7 @@ def decay_by_splines(z, spacing):
     product = signal.correlate(z, z, method="fft")
     acf = product / signal.correlate(ones, ones, method="fft") / np.mean(z**2)
     y, x = (d * np.arange(1 - n, n) for n, d in zip(z.shape, spacing, strict=True))
-    spline = interpolate.RectBivariateSpline(y, x, acf, kx=3, ky=3)
+    spline = interpolate.RectBivariateSpline(y, x, acf, kx=5, ky=5)
     lengths = []
     step = 0.05 * min(spacing)
     for angle in np.linspace(0, np.pi, 1441)[:-1]:
@@ -151,23 +152,24 @@ def decay_by_splines(z, spacing):
 def test_decay(name):
     ours, theirs, z, spacing = both(name)
     shortest, longest = decay_by_splines(z, spacing)
-    p = ours.spatial
-    assert_close(p.Sal, shortest, rtol=0.01)
-    assert_close(p.Sal, quietly(theirs.Sal), rtol=0.01)
-    want = quietly(theirs.Str)
-    assert np.isnan(p.Str) == np.isnan(longest) == np.isnan(want)
-    if not np.isnan(p.Str):
-        assert_close(p.Str, shortest / longest, rtol=0.01)
-        # Surfalize looks along rays to the points beside the decayed region only, and may
-        # miss the tip of a thin one.
-        nearer = abs(p.Str * longest / shortest - 1) < abs(want * longest / shortest - 1)
-        assert nearer or abs(p.Str / want - 1) < 0.01
-        assert_close(p.Str, want, rtol=0.03)
+    Sal, Str = (float(v) for v in (ours.spatial.Sal, ours.spatial.Str))
+    assert_close(Sal, shortest, rtol=0.01)
+    # Surfalize takes the point of a ray nearest to the level, on rays to the points beside
+    # the decayed region only: within one per cent, or farther from the spline.
+    for got, want, third in (
+        (Sal, quietly(theirs.Sal), shortest),
+        (Str, quietly(theirs.Str), shortest / longest),
+    ):
+        assert np.isnan(got) == np.isnan(want) == np.isnan(third)
+        if not np.isnan(got):
+            assert_close(got, third, rtol=0.01)
+            assert abs(got / want - 1) < 0.01 or abs(got - third) < abs(want - third)
+            assert_close(got, want, rtol=0.02)
 
 
 def lay_by_scan(z, spacing):
     """Lay at right angles to the sector with most power, every mode weighed by itself."""
-    window = np.multiply.outer(*(signal.windows.hann(n + 2)[1:-1] for n in z.shape))
+    window = np.multiply.outer(*(np.hanning(n + 2)[1:-1] for n in z.shape))
     z = z - np.sum(window * z) / np.sum(window)
     size = [2 * n for n in z.shape]
     power = np.abs(np.fft.fft2(window * z, s=size)) ** 2
@@ -191,17 +193,16 @@ def test_lay(name):
     def off(a, b):
         return abs((a - b + 90) % 180 - 90)
 
-    assert off(got, scanned) < 1.0
-    # surfalize gives the direction of the waves, in a map with y upwards
-    theirs_std = (90 - theirs.Std()) % 180
-    known = {"anisotropic": 0.0, "oblique": np.degrees(0.6), "plateau": np.degrees(2.0)}
+    assert off(got, scanned) < 0.6
+    # Surfalize gives the direction of the waves, in a map with y upwards. Without a window
+    # it sees the borders as waves along the axes, and it takes the strongest sector of
+    # half a degree: one per cent of 180 degrees apart, or farther from the truth.
+    waves = quietly(theirs.Std)
+    known = {"oblique": 0.6, "plateau": 2.0, "scratched": 0.6, "milled": 0.0}
     if name in known:
-        # without a window and without smoothing it takes the strongest single sector,
-        # which scatters: one per cent of 180 degrees apart, or farther from the truth
-        assert off(got, theirs_std) < 1.8 or off(got, known[name]) < off(
-            theirs_std, known[name]
-        )
-        assert off(got, known[name]) < 6.0
+        lay, truth = (90 - waves) % 180, np.degrees(known[name])
+        assert off(got, truth) < 2.0
+        assert off(got, lay) < 1.8 or off(got, truth) < off(lay, truth)
 
 
 @pytest.mark.parametrize("name", SURFACES)
