@@ -25,8 +25,10 @@ def hills_by_flooding(z, threshold):
     square = np.ones((3, 3))
     born, dead = {}, []
     for level in np.sort(z.ravel())[::-1]:
-        label, n = ndimage.label(z >= level, structure=square)
-        tops = {int(np.argmax(np.where(label == k, z, -np.inf))) for k in range(1, n + 1)}
+        label = np.zeros(z.shape, int)
+        ndimage.label(z >= level, structure=square, output=label)
+        islands = range(1, label.max() + 1)
+        tops = {int(np.argmax(np.where(label == k, z, -np.inf))) for k in islands}
         dead += [born.pop(p) - level for p in set(born) - tops]
         born |= {p: z.ravel()[p] for p in tops}
     return sum(d >= threshold for d in dead) + len(born)

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close
+from polishopt.texture.lay import texture_direction
 from polishopt.texture.spatial import (
     autocorrelation,
     decay_lengths,
     spatial_parameters,
-    texture_direction,
 )
 from scipy import ndimage
 

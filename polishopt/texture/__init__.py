@@ -32,6 +32,10 @@ from .hybrid import (
     HybridParameters as HybridParameters,
     hybrid_parameters as hybrid_parameters,
 )
+from .lay import (
+    angular_spectrum as angular_spectrum,
+    texture_direction as texture_direction,
+)
 from .milling import (
     MilledSurface as MilledSurface,
     Sz_analytic as Sz_analytic,
@@ -64,7 +68,6 @@ from .scratches import (
 )
 from .spatial import (
     SpatialParameters as SpatialParameters,
-    angular_spectrum as angular_spectrum,
     autocorrelation as autocorrelation,
     spatial_parameters as spatial_parameters,
 )
