@@ -9,6 +9,7 @@ turns. Then the same of the other families. Run as
     python benchmarks/bench_areal.py
 """
 
+import functools
 import statistics
 import time
 
@@ -31,6 +32,7 @@ jax.config.update("jax_enable_x64", True)
 SIDE = 1024
 # marks for a warm run of the four values, and with their gradient [ms]
 MARKS = {"Sa Sq Ssk Sku": 10.0, "with gradient": 25.0}
+SHORT = ("surfalize, one by one", "surfalize, one call")
 OTHERS = {
     "spatial": ("Sal", "Str", "Std"),
     "hybrid": ("Sdq", "Sdr"),
@@ -96,21 +98,22 @@ def main():
         "hybrid": lambda z: hybrid_parameters(z, 1.0),
         "functional": functional_parameters,
         "all parameters": lambda z: areal_parameters(z, 1.0),
-        "standard errors": lambda z: standard_errors(z, 1.0),
+        "standard errors": standard_errors,
     }
     for name, f in cases.items():
         made[name], compiling[name] = compiled(f, map)
         jax.block_until_ready(made[name](map))
 
-    fast = {name: (lambda name=name: made[name](map)) for name in MARKS}
-    slow = {name: (lambda name=name: made[name](map)) for name in cases if name not in fast}
+    runs = {name: functools.partial(f, map) for name, f in made.items()}
     if ask:
-        fast["surfalize, one by one"] = lambda: ask("Sa", "Sq", "Ssk", "Sku")
-        fast["surfalize, one call"] = lambda: ask("height_parameters")
+        runs["surfalize, one by one"] = functools.partial(ask, "Sa", "Sq", "Ssk", "Sku")
+        runs["surfalize, one call"] = functools.partial(ask, "height_parameters")
         for name, asked in OTHERS.items():
-            slow[f"surfalize, {name}"] = lambda asked=asked: ask(*asked)
-        for run in (*fast.values(), *slow.values()):
-            run()
+            runs[f"surfalize, {name}"] = functools.partial(ask, *asked)
+    for run in runs.values():
+        run()
+    fast = {name: run for name, run in runs.items() if name in (*MARKS, *SHORT)}
+    slow = {name: run for name, run in runs.items() if name not in fast}
     runs = take_turns(fast, 30) | take_turns(slow, 3)
 
     print("| 1 Mpx, float64 | compile [s] | run [ms] |")

@@ -12,13 +12,11 @@ from polishopt.texture.areal import (
     height_parameters,
     parameters_from_cumulants,
 )
-from polishopt.texture.filters import gaussian_filter, gaussian_transmission
-from scipy import ndimage, special, stats
+from scipy import special, stats
 
 
 heights_of = jax.jit(height_parameters)
 cumulants_of = jax.jit(cumulants)
-filtered = jax.jit(gaussian_filter, static_argnames="periodic")
 
 
 def sine(n=2000, periods=1, amplitude=1.0):
@@ -154,59 +152,6 @@ def test_Sa_estimate_is_of_first_order():
     assert error[1] < 0.3 * error[0]  # the first-order term itself would halve
 
 
-def test_transmission():
-    wavelength = jnp.asarray([0.08, 0.8, 8.0, jnp.inf])
-    got = gaussian_transmission(wavelength, 0.8)
-    assert_close(got, [2.0**-100, 0.5, 2.0**-0.01, 1.0])
-    assert_close(gaussian_transmission(wavelength, jnp.inf), [0.0, 0.0, 0.0, 1.0])
-    assert_close(gaussian_transmission(jnp.zeros(2), 0.8), 0.0)
-
-
-def test_transmission_gradients_are_finite():
-    slope = jax.jit(jax.grad(gaussian_transmission, (0, 1)))
-    for cutoff in (0.3, jnp.inf):
-        for wavelength in (0.0, 0.2, jnp.inf):
-            grads = slope(jnp.asarray(wavelength), jnp.asarray(cutoff))
-            assert np.isfinite(grads).all()
-    assert_gradient(lambda x: gaussian_transmission(x[:1], x[1]), jnp.asarray([0.3, 0.4]))
-
-
-def test_periodic_filter_halves_a_wave_at_the_cutoff():
-    wave = np.sin(2 * np.pi * 3 * np.arange(60) / 60)
-    z = jnp.asarray(wave[:, None] * np.ones((1, 16)) + 5.0)
-    got = filtered(z, jnp.asarray([0.01, 0.5]), jnp.asarray(0.2), periodic=True)
-    assert_close(got, 0.5 * (z - 5.0) + 5.0, rtol=1e-12)
-
-
-def test_filter_agrees_with_scipy():
-    z, cutoff, spacing = rough(6, (64, 48)), 0.09, 0.01
-    sigma = 0.18739 * cutoff / spacing
-    want = ndimage.gaussian_filter(np.asarray(z), sigma, mode="wrap", truncate=8)
-    # sampling the kernel instead of its spectrum costs exp(-2 (pi sigma)^2)
-    assert_close(filtered(z, spacing, cutoff, periodic=True), want, rtol=1e-5)
-    weight = ndimage.gaussian_filter(np.ones(z.shape), sigma, mode="constant", truncate=8)
-    want = ndimage.gaussian_filter(np.asarray(z), sigma, mode="constant", truncate=8)
-    assert_close(filtered(z, spacing, cutoff), want / weight, rtol=1e-5)
-
-
-@pytest.mark.parametrize("periodic", [True, False])
-def test_filter_keeps_a_constant_and_flattens_at_infinite_cutoff(periodic):
-    z = rough(7)
-    flat = filtered(jnp.full((9, 8), 2.5), 0.1, 0.4, periodic)
-    assert_close(flat, 2.5, rtol=1e-12)
-    assert_close(filtered(z, 0.1, jnp.inf, periodic), jnp.mean(z), rtol=1e-12)
-    assert_gradient(lambda c: filtered(z, 0.1, c[0], periodic)[::5, 3], jnp.asarray([0.5]))
-
-
-def test_filter_in_single_precision():
-    z = rough(8).astype(jnp.float32)
-    for periodic in (True, False):
-        got = filtered(z, 0.1, jnp.asarray(0.4, jnp.float32), periodic)
-        assert got.dtype == jnp.float32
-        want = filtered(z.astype(jnp.float64), 0.1, 0.4, periodic)
-        assert_close(got, want, rtol=1e-5)
-
-
 def test_Gaussian_quantiles():
     n = 40000
     z = jnp.asarray(stats.norm.ppf((np.arange(n) + 0.5) / n).reshape(200, 200))
@@ -214,3 +159,119 @@ def test_Gaussian_quantiles():
     # the quantiles stop at 4.2 sigma, which costs the fourth moment most
     got = jnp.stack([p.Sa / p.Sq, p.Ssk, p.Sku])
     assert_close(got, [0.79788, 0.0, 3.0], rtol=2e-3, atol=1e-9)
+
+
+def test_unmeasured_points_do_not_count():
+    z = np.asarray(rough(9))
+    gap = np.random.default_rng(1).random(z.shape) < 0.3
+    got = heights_of(jnp.asarray(np.where(gap, np.nan, z)))
+    want = heights_of(jnp.asarray(z[~gap][None, :]))
+    assert_close(jnp.stack(jax.tree.leaves(got)), jnp.stack(jax.tree.leaves(want)))
+
+
+def test_a_map_without_a_measured_point_has_no_parameters():
+    p = heights_of(jnp.full((24, 31), jnp.nan))
+    assert np.isnan(jnp.stack(jax.tree.leaves(p))).all()
+
+
+def test_gradients_pass_by_unmeasured_points():
+    z = np.asarray(rough(9))
+    gap = np.random.default_rng(1).random(z.shape) < 0.3
+    for values, some in ((z, 1.0), (np.full(z.shape, 2.0), 0.0)):
+        map = jnp.asarray(np.where(gap, np.nan, values))
+        slope = jax.jit(jax.jacrev(lambda z: heights_of(z).Sq + heights_of(z).Sku))(map)
+        assert_close(np.asarray(slope)[gap], 0.0)
+        assert np.isfinite(slope).all()
+        assert bool(np.abs(np.asarray(slope)).max() > 0) == bool(some)
+
+
+def test_Gaussian_sample():
+    z = jnp.asarray(np.random.default_rng(0).normal(size=(1000, 1000)))
+    p = heights_of(z)
+    # standard errors of a million independent heights
+    errors = np.sqrt([(1 - 2 / np.pi), 0.5, 6.0, 24.0]) / 1000
+    got = np.asarray([p.Sa, p.Sq, p.Ssk, p.Sku])
+    assert (np.abs(got - [np.sqrt(2 / np.pi), 1.0, 0.0, 3.0]) < 4 * errors).all()
+
+
+def scallop_map(a, b, n=600):
+    cusp = (2.0 * (np.arange(n) + 0.5) / n - 1.0) ** 2
+    return jnp.asarray(a * cusp[:, None] + b * cusp[None, :])
+
+
+def test_scallops():
+    p = heights_of(scallop_map(2.0, 0.0))
+    want = [4 * np.sqrt(3) / 27, 2 * np.sqrt(5) / 15, 2 * np.sqrt(5) / 7, 15 / 7]
+    # midpoint sums of smooth powers are off by the square of the spacing
+    rtol = 30 / 600**2
+    got = jnp.stack([p.Sa / 2.0, p.Sq / 2.0, p.Ssk, p.Sku])
+    assert_close(got, want, rtol=rtol)
+    a, b = 1.0, 0.7
+    p = heights_of(scallop_map(a, b))
+    m2, m3 = 4 * (a**2 + b**2) / 45, 16 * (a**3 + b**3) / 945
+    m4 = 16 * (5 * a**4 + 14 * a**2 * b**2 + 5 * b**4) / 4725
+    got = jnp.stack([p.Sq**2, p.Ssk * p.Sq**3, p.Sku * p.Sq**4])
+    assert_close(got, [m2, m3, m4], rtol=rtol)
+
+
+# Fourier polynomials: reference surfaces whose moments are rational.
+FOURIER = {
+    "one wave": "cos(X)",
+    "crossed waves": "cos(X)*cos(Y)",
+    "skewed": "cos(X) + cos(2*X)/2",
+    "oblique": "cos(X + 2*Y) + sin(3*X - Y)/3 + cos(2*X + 4*Y)/4",
+    "powers": "cos(X)**3 + cos(X)*sin(Y)**2 + sin(Y)**4/2",
+    "milled": "cos(X)**4 + cos(Y)**4/5 - cos(X)**2*cos(Y)/3",
+}
+
+
+def exact_moments(text):
+    """A Fourier polynomial in SymPy, and its central moments 2 to 4 over a period."""
+    sympy = pytest.importorskip("sympy", reason="sympy is not installed")
+    X, Y, a, b = sympy.symbols("X Y a b", real=True)
+    z = sympy.sympify(text, locals={"X": X, "Y": Y})
+    # with a = exp(iX) and b = exp(iY) it is a polynomial over a power of both
+    waves = sympy.expand(z.rewrite(sympy.exp), power_exp=True)
+    waves = waves.subs({sympy.exp(sympy.I * X): a, sympy.exp(sympy.I * Y): b})
+    top = sympy.Poly(sympy.expand(sympy.powsimp(waves * (a * b) ** 8)), a, b)
+
+    def mean(polynomial, power):
+        # the integral of exp(i(mX + nY)) over a period vanishes unless m = n = 0
+        return (polynomial**power).coeff_monomial((a * b) ** (8 * power))
+
+    level = top - sympy.Poly(mean(top, 1) * (a * b) ** 8, a, b)
+    return sympy.lambdify((X, Y), z, "numpy"), [float(mean(level, n)) for n in (2, 3, 4)]
+
+
+def test_moments_agree_with_integration():
+    """The way above, against an integral that SymPy does step by step."""
+    sympy = pytest.importorskip("sympy", reason="sympy is not installed")
+    X = sympy.symbols("X")
+    z = sympy.cos(X) + sympy.cos(2 * X) / 2
+    want = [sympy.integrate(z**n, (X, 0, 2 * sympy.pi)) / (2 * sympy.pi) for n in (2, 3, 4)]
+    assert_close(exact_moments(FOURIER["skewed"])[1], [float(m) for m in want], rtol=1e-15)
+
+
+@pytest.mark.parametrize("name", FOURIER)
+def test_Fourier_polynomials_to_ten_figures(name):
+    surface, (m2, m3, m4) = exact_moments(FOURIER[name])
+    # sums over equally spaced points integrate what is below 1024 waves exactly
+    t = 2 * np.pi * np.arange(1024) / 1024
+    z = np.broadcast_to(surface(t[None, :], t[:, None]), (1024, 1024))
+    p = heights_of(jnp.asarray(z))
+    assert_close(p.Sq, np.sqrt(m2), rtol=1e-11)
+    assert_close(p.Ssk, m3 / m2**1.5, rtol=1e-11, atol=1e-11)
+    assert_close(p.Sku, m4 / m2**2, rtol=1e-11)
+
+
+def test_Sa_of_waves():
+    """|z| has corners, so the sum is not the integral; but it is known as well."""
+    n = 1024
+    t = 2 * np.pi * (np.arange(n) + 0.5) / n
+    # mean of |cos| at n midpoints: 2/pi (1 + (pi/n)^2/6 + ...)
+    mean = 2.0 / (n * np.sin(np.pi / n))
+    wave = np.broadcast_to(np.cos(t)[None, :], (n, n))
+    assert_close(heights_of(jnp.asarray(wave)).Sa, mean, rtol=1e-12)
+    assert_close(mean, 2 / np.pi, rtol=2e-6)
+    crossed = np.cos(t)[:, None] * np.cos(t)[None, :]
+    assert_close(heights_of(jnp.asarray(crossed)).Sa, mean**2, rtol=1e-12)

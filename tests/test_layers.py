@@ -14,7 +14,7 @@ units parts
 path.surface path.corner path.guide path.trochoid path.toolpath path
 machine.kinematics machine.sweep machine.feed machine.loop machine
 contact.pressure contact.removal contact.ripple contact
-texture.filters texture.areal texture.hybrid texture.spatial texture.functional
+texture.filters texture.areal texture.hybrid texture.lay texture.spatial texture.functional
 texture.feature texture.uncertainty texture.parameters
 texture.milling texture.cutter texture.cutting texture.marks
 texture.planarisation texture.scratches texture.evolution texture

@@ -48,6 +48,10 @@ from .hybrid import (
     hybrid_parameters as hybrid_parameters,
 )
 from .marks import milled_marks as milled_marks
+from .lay import (
+    angular_spectrum as angular_spectrum,
+    texture_direction as texture_direction,
+)
 from .milling import (
     MilledSurface as MilledSurface,
     Sz_analytic as Sz_analytic,
@@ -80,7 +84,6 @@ from .scratches import (
 )
 from .spatial import (
     SpatialParameters as SpatialParameters,
-    angular_spectrum as angular_spectrum,
     autocorrelation as autocorrelation,
     spatial_parameters as spatial_parameters,
 )

@@ -72,6 +72,33 @@ def fill_gaps(
     return jax.lax.cond(jnp.isnan(total), measured, lambda: (z, total / size, size))
 
 
+@jax.custom_jvp
+def _power_sums(u: Float[Array, "ny nx"]) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """Sums of |u|, u^2, u^3 and u^4: one pass along rows, in half the time of four."""
+    square = u * u
+    powers = (jnp.abs(u), square, square * u, square * square)
+    zero = jnp.zeros((), u.dtype)
+
+    def add(a, b):
+        return tuple(x + y for x, y in zip(a, b, strict=True))
+
+    one, two, three, four = jax.lax.reduce(powers, (zero,) * 4, add, (1,))
+    return jnp.sum(one), jnp.sum(two), jnp.sum(three), jnp.sum(four)
+
+
+@_power_sums.defjvp
+def _power_sums_jvp(primals, tangents):
+    # a reduction of several arrays has no derivative of its own
+    (u,), (du,) = primals, tangents
+    square = u * u
+    return _power_sums(u), (
+        jnp.sum(jnp.sign(u) * du),
+        jnp.sum(2.0 * u * du),
+        jnp.sum(3.0 * square * du),
+        jnp.sum(4.0 * square * u * du),
+    )
+
+
 def _moments(
     z: Float[Array, "ny nx"], mean: Scalar, count: Scalar
 ) -> tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]:
@@ -82,17 +109,8 @@ def _moments(
     Sp, Sv = jnp.max(z) - mean, mean - jnp.min(z)
     scale = jax.lax.stop_gradient(jnp.maximum(Sp, Sv))
     scale = jnp.where(scale == 0, jnp.ones_like(scale), scale)
-    u = (z - mean) / scale
-    square = u * u
-    return (
-        Sp,
-        Sv,
-        scale,
-        jnp.sum(jnp.abs(u)) / count,
-        jnp.sum(square) / count,
-        jnp.sum(square * u) / count,
-        jnp.sum(square * square) / count,
-    )
+    one, two, three, four = _power_sums((z - mean) / scale)
+    return Sp, Sv, scale, one / count, two / count, three / count, four / count
 
 
 def height_parameters(z: Float[Array, "ny nx"]) -> HeightParameters:

@@ -172,7 +172,7 @@ def Spd(
         height = 0.0 if np.isnan(z).all() else np.nanmax(z) - np.nanmin(z)
         if height == 0:
             return np.zeros((), z.dtype)
-        peaks, whole = significant_hills(z, pruning * height)
+        peaks, whole = significant_hills(z, float(pruning * height))
         return np.asarray(whole.sum() if whole_only else peaks.size, z.dtype)
 
     z = jax.lax.stop_gradient(z)

@@ -1,33 +1,32 @@
-"""Spatial: how far heights of a surface know of each other, and which way the lay runs.
+"""Spatial: how far the heights of a surface know of each other.
 
 The autocorrelation tells both how fast a texture changes and whether it does so alike in
 all directions. It is not circular, since the two borders of a measured map are no
 neighbours, and it is not biased towards zero at long lags: every lag is averaged over
-the pairs of points it has. The lay comes from the spectrum.
+the pairs of points it has.
 """
 
-import math
+import functools
+import operator
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.fft import next_fast_len
 
 from ..parts import Scalar
 from .areal import fill_gaps
 from .filters import Spacing
+from .lay import fast_size, texture_direction
 
 
 # value of the autocorrelation at which heights count as independent (ISO 25178-3)
 DECAYED = 0.2
-# The angular spectrum is sampled this finely, and seen through a window of this half-width:
-# a map of a hundred points a side tells directions apart no better.
-ANGLES = 360
-HALF_WIDTH = math.radians(5.0)
 # halvings of an interval that leave no digit of a double
 HALVINGS = 52
+# places of the six values around an interval, which a polynomial joins
+TAPS = (-2, -1, 0, 1, 2, 3)
 
 
 class SpatialParameters(eqx.Module):
@@ -50,7 +49,7 @@ def lag_products(z: Float[Array, "ny nx"]) -> Float[Array, "my mx"]:
         z: Any map.
     """
     ny, nx = z.shape
-    padded = [int(next_fast_len(2 * n - 1, real=True) or 0) for n in z.shape]
+    padded = [fast_size(2 * n - 1) for n in z.shape]
     power = jnp.abs(jnp.fft.rfft2(z, s=padded)) ** 2
     product = jnp.fft.irfft2(power, s=padded)
     product = jnp.roll(product, (ny - 1, nx - 1), (0, 1))
@@ -89,15 +88,14 @@ def autocorrelation(z: Float[Array, "ny nx"]) -> Float[Array, "my mx"]:
     return jnp.where(found, product / product[ny - 1, nx - 1], jnp.nan)
 
 
-def _cubic(v: Float[Array, "4 n"], t: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Cubic through four values at -1, 0, 1 and 2, seen at t."""
-    a, b, c, d = v
-    return (
-        -t * (t - 1.0) * (t - 2.0) / 6.0 * a
-        + (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0 * b
-        - (t + 1.0) * t * (t - 2.0) / 2.0 * c
-        + (t + 1.0) * t * (t - 1.0) / 6.0 * d
-    )
+def _between(v: Float[Array, "6 n"], t: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Polynomial through values at -2 to 3, seen at t from 0 to 1."""
+    total = jnp.zeros_like(t)
+    for i in TAPS:
+        others = [j for j in TAPS if j != i]
+        weight = functools.reduce(operator.mul, [(t - j) / (i - j) for j in others])
+        total = total + weight * v[i + 2]
+    return total
 
 
 def decay_lengths(
@@ -106,8 +104,9 @@ def decay_lengths(
     """Shortest and longest distance of decay of an autocorrelation to a level [mm].
 
     Rays leave lag zero in every direction that the border of the map tells apart, and
-    cross one row of lags, or one column, at each step; in between the values are
-    interpolated by cubics. Each ray ends where it first falls to the level.
+    cross one row of lags, or one column, at each step; in between values are interpolated
+    by polynomials through six. Each ray ends where it first falls to the level, with an
+    error of up to 2 % if that is 2.5 points away, and 0.2 % at four.
 
     Args:
         correlation: Autocorrelation, lag zero in the middle [-].
@@ -142,12 +141,11 @@ def decay_lengths(
         row = middle + stride_along * jnp.minimum(k, along)
         low = below.astype(k.dtype)
         around = [
-            flat[row + stride_across * jnp.clip(low + i, -across, across)]
-            for i in (-1, 0, 1, 2)
+            flat[row + stride_across * jnp.clip(low + i, -across, across)] for i in TAPS
         ]
-        on_it = place == below
         # a lag without pairs must not spoil a ray that passes beside it
-        return jnp.where(on_it, around[1], _cubic(jnp.stack(around), place - below))
+        between = _between(jnp.stack(around), place - below)
+        return jnp.where(place == below, around[2], between)
 
     def going(state):
         _, _, _, ended = state
@@ -157,112 +155,41 @@ def decay_lengths(
         k, last, kept, ended = state
         k = k + 1
         last = jnp.concatenate([last[1:], value(k)[None]])
-        fallen = (last[1] > level) & (last[2] <= level) & inside(k - 1)
+        fallen = (last[2] > level) & (last[3] <= level) & inside(k - 2)
         new = fallen & ~ended
-        start = (k - 2).astype(dtype)
+        start = (k - 3).astype(dtype)
         found = jnp.concatenate([last, jnp.broadcast_to(start, (1, 2 * rays))])
         kept = jnp.where(new[None], found, kept)
-        return k, last, kept, ended | fallen | ~inside(k - 1)
+        return k, last, kept, ended | fallen | ~inside(k - 2) | jnp.isnan(last[3])
 
-    one = jnp.ones((), int)
-    first = value(one)
-    start = jnp.stack([first, jnp.ones_like(first), first])
+    # the autocorrelation is the same at opposite lags; the first entry is moved out
+    first, second = value(jnp.ones((), int)), value(jnp.full((), 2))
+    one = jnp.ones_like(first)
     state = (
-        one,
-        jnp.concatenate([jnp.ones_like(first)[None], start]),
-        jnp.full((5, 2 * rays), jnp.nan, dtype),
+        jnp.full((), 2),
+        jnp.stack([one, second, first, one, first, second]),
+        jnp.full((7, 2 * rays), jnp.nan, dtype),
         jnp.zeros(2 * rays, bool),
     )
     _, _, kept, _ = jax.lax.while_loop(going, step, state)
-    a, b, c, d = kept[:4]
-    # beyond the border the last parabola goes on
-    window = jnp.stack([a, b, c, jnp.where(jnp.isnan(d), 3.0 * (c - b) + a, d)])
+    window, before = kept[:6], kept[6]
+    # without all six values, a straight line
+    whole = jnp.all(jnp.isfinite(window), axis=0)
 
     def halve(_, ends):
         low, high = ends
         mid = 0.5 * (low + high)
-        above = _cubic(window, mid) > level
+        line = window[2] + mid * (window[3] - window[2])
+        above = jnp.where(whole, _between(window, mid), line) > level
         return jnp.where(above, mid, low), jnp.where(above, high, mid)
 
     ends = (jnp.zeros(2 * rays, dtype), jnp.ones(2 * rays, dtype))
     low, high = jax.lax.fori_loop(0, HALVINGS, halve, ends)
-    steps = kept[4] + 0.5 * (low + high)
+    steps = before + 0.5 * (low + high)
     first_half = jnp.arange(2 * rays) < rays
     length = jnp.where(first_half, jnp.hypot(dx, slope * dy), jnp.hypot(dy, slope * dx))
     distance = steps * length
     return jnp.nanmin(distance), jnp.max(distance)
-
-
-def angular_spectrum(
-    z: Float[Array, "ny nx"], spacing: Spacing
-) -> tuple[Float[Array, " na"], Float[Array, " na"]]:
-    """Angles of waves [rad], and the power of the waves around each of them [mm^2].
-
-    The map is faded out towards its border by a Hann window, or a cross would stand in
-    the spectrum. Power counts up to the highest frequency that both axes resolve, and is
-    summed under a window of 5 degrees to either side.
-
-    Args:
-        z: Heights [mm]; NaN where not measured.
-        spacing: Distance of neighbouring points, or (along y, along x) [mm].
-
-    Returns:
-        Directions in which waves run, from x towards y in [0, pi), and their power. The
-        lay is at right angles.
-    """
-    dy, dx = jnp.broadcast_to(jnp.asarray(spacing, dtype=z.dtype), (2,))
-    height, mean, _ = fill_gaps(z)
-    height = height - mean
-    ny, nx = z.shape
-    fade = np.sin(np.pi * (np.arange(ny) + 0.5) / ny)[:, None] ** 2 * (
-        np.sin(np.pi * (np.arange(nx) + 0.5) / nx)[None, :] ** 2
-    )
-    fade = jnp.asarray(fade, z.dtype)
-    height = height - jnp.sum(fade * height) / jnp.sum(fade)
-    power = jnp.abs(jnp.fft.rfft2(fade * height)) ** 2 / (ny * nx * jnp.sum(fade**2))
-    # modes between zero and the highest frequency stand for their mirror images too
-    twice = np.full(nx // 2 + 1, 2.0)
-    twice[0] = 1.0
-    twice[nx // 2] = 2.0 if nx % 2 else 1.0
-    fy = jnp.fft.fftfreq(ny, dtype=z.dtype)[:, None] / dy
-    fx = jnp.fft.rfftfreq(nx, dtype=z.dtype)[None, :] / dx
-    resolved = fx**2 + fy**2 <= (0.5 / jnp.maximum(dx, dy)) ** 2
-    power = jnp.where(resolved, power * jnp.asarray(twice, z.dtype)[None, :], 0.0)
-
-    place = jnp.mod(jnp.arctan2(fy, fx) / math.pi, 1.0) * ANGLES
-    below = jnp.floor(place)
-    part = place - below
-    index = jnp.mod(below.astype(int), ANGLES)
-    spectrum = jnp.zeros(ANGLES, z.dtype).at[index].add(power * (1.0 - part))
-    spectrum = spectrum.at[jnp.mod(index + 1, ANGLES)].add(power * part)
-    reach = round(HALF_WIDTH / math.pi * ANGLES)
-    kernel = np.cos(0.5 * np.pi * np.arange(1 - reach, reach) / reach) ** 2
-    around = jnp.concatenate([spectrum[1 - reach :], spectrum, spectrum[: reach - 1]])
-    smooth = jnp.convolve(around, jnp.asarray(kernel, z.dtype), mode="valid")
-    return jnp.arange(ANGLES, dtype=z.dtype) * (math.pi / ANGLES), smooth
-
-
-def texture_direction(z: Float[Array, "ny nx"], spacing: Spacing) -> Scalar:
-    """Direction of the lay of a map, Std: from x towards y, in [0, pi) [rad].
-
-    At right angles to the waves that carry most power, see `angular_spectrum`. Any
-    direction may come out for a texture that has none (Str near 1); NaN for a flat map.
-
-    Args:
-        z: Heights [mm]; NaN where not measured.
-        spacing: Distance of neighbouring points, or (along y, along x) [mm].
-
-    Source: ISO 25178-2.
-    """
-    angles, power = angular_spectrum(z, spacing)
-    best = jnp.argmax(power)
-    before, top, after = (power[jnp.mod(best + i, ANGLES)] for i in (-1, 0, 1))
-    bend = before - 2.0 * top + after
-    shift = jnp.where(
-        bend < 0, 0.5 * (before - after) / jnp.where(bend < 0, bend, 1.0), 0.0
-    )
-    wave = angles[best] + shift * (math.pi / ANGLES)
-    return jnp.where(top > 0, jnp.mod(wave + 0.5 * math.pi, math.pi), jnp.nan)
 
 
 def spatial_parameters(z: Float[Array, "ny nx"], spacing: Spacing) -> SpatialParameters:
