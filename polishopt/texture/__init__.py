@@ -47,11 +47,11 @@ from .hybrid import (
     HybridParameters as HybridParameters,
     hybrid_parameters as hybrid_parameters,
 )
-from .marks import milled_marks as milled_marks
 from .lay import (
     angular_spectrum as angular_spectrum,
     texture_direction as texture_direction,
 )
+from .marks import milled_marks as milled_marks
 from .milling import (
     MilledSurface as MilledSurface,
     Sz_analytic as Sz_analytic,
