@@ -11,8 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import minimum_spanning_tree
 
 from ..parts import Scalar
 from .filters import Spacing
@@ -61,6 +59,10 @@ def _saddles(
 
     Those that matter are a tree: every other saddle is lower than a way around it.
     """
+    # imported here: half a second that nothing else of this package needs
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import minimum_spanning_tree
+
     flat = height.ravel()
     index = np.arange(flat.size).reshape(height.shape)
     i, j = (
