@@ -32,7 +32,7 @@ schema: 1
 title: small
 part:
   surface: sphere_cap
-  size_mm: [50, 40]
+  size_mm: [50, 50]
   radius_mm: 100
 tool: {preset: disc_18mm, friction: 0.3}
 abrasive: P1200
@@ -115,11 +115,11 @@ BAD = {
         "displacement_mm: 0.4", "displacement_mm: 0,4", 15, 20,
         "use a decimal point",
     ),
-    "comma_in_list": ("[50, 40]", "[50,0, 40,0]", 5, 12, "holds 4 values, must hold 2"),
-    "short_list": ("[50, 40]", "[50]", 5, 12, "part.size_mm holds too few values, only 1"),
-    "no_list": ("[50, 40]", "50", 5, 12, "part.size_mm is 50, must be a list"),
+    "comma_in_list": ("[50, 50]", "[50,0, 40,0]", 5, 12, "holds 4 values, must hold 2"),
+    "short_list": ("[50, 50]", "[50]", 5, 12, "part.size_mm holds too few values, only 1"),
+    "no_list": ("[50, 50]", "50", 5, 12, "part.size_mm is 50, must be a list"),
     "in_list": (
-        "[50, 40]", "[50, -40]", 5, 17,
+        "[50, 50]", "[50, -40]", 5, 17,
         "part.size_mm[1] is -40, must lie in (0, 2000]",
     ),
     "unit_in_value": (
@@ -225,7 +225,11 @@ BAD = {
     "key_of_another_surface": ("sphere_cap", "plane", 6, 3, "unknown key 'radius_mm'"),
     "sphere_too_small": (
         "radius_mm: 100", "radius_mm: -32", 6, 14,
-        "half the diagonal of the patch, 32.0156 mm",
+        "half the diagonal of the patch, 35.3553 mm",
+    ),
+    "hilbert_on_a_rectangle": (
+        "size_mm: [50, 50]", "size_mm: [50, 40]", 11, 11,
+        "guide.family is 'hilbert', must be 'lines' here: a Hilbert curve needs a square",
     ),
     "family_unknown": ("hilbert", "hilbrt", 11, 11, "did you mean 'hilbert'?"),
     "corner_unknown": (
@@ -305,7 +309,7 @@ BAD = {
         "  step_mm: 1\n", "  step_mm: 1\n  step_mm: 2\n", 17, 3,
         "'step_mm' stands twice",
     ),
-    "open_bracket": ("[50, 40]", "[50, 40", 6, 12, "expected ',' or ']'"),
+    "open_bracket": ("[50, 50]", "[50, 50", 6, 12, "expected ',' or ']'"),
     "tab": ("  order: 3", "\torder: 3", 12, 1, "indent with spaces"),
     "no_space": ("order: 3", "order:3", 12, 3, "indentation right"),
     "two_documents": ("target:", "---\ntarget:", 22, 1, "single document"),
@@ -433,7 +437,7 @@ def test_overrides_edit_the_document(tmp_path):
     overrides = [
         "process.tilt_deg=7.5",
         "process.step_mm={start: 1, between: [0.5, 2]}",
-        "part.size_mm[1]=30",
+        "part.size_mm[1]=60",
         "part.size_mm.0=60",
         "abrasive.grain_um=14",
         "sampling.grid=32",
@@ -443,7 +447,7 @@ def test_overrides_edit_the_document(tmp_path):
     config = loaded.config
     assert config.process.tilt_deg == 7.5
     assert config.process.step_mm == Tuned(start=1.0, between=(0.5, 2.0))
-    assert config.part.size_mm == (60.0, 30.0)
+    assert config.part.size_mm == (60.0, 60.0)
     assert config.abrasive.grain_um == 14.0
     assert config.abrasive.hardness_GPa == load(path).config.abrasive.hardness_GPa
     assert config.sampling.grid == 32
@@ -538,7 +542,7 @@ def test_numbers_go_inside_in_mm_N_s_and_rad(tmp_path):
     assert process["tilt"].between == pytest.approx((0.0349065850, 0.2617993878))
     assert internal(config.abrasive)["preston"] == pytest.approx(4e-7)
     assert internal(config.abrasive)["grain"] == pytest.approx(0.0153)
-    assert internal(config.part)["size"] == (50.0, 40.0)
+    assert internal(config.part)["size"] == (50.0, 50.0)
     assert config.tool.unstick is not None
     assert internal(config.tool.unstick)["force"] == (12.0, 14.0, 17.0, 18.0)
     assert internal(config.machine.axes.A)["speed"] == pytest.approx(1.5707963268)
@@ -572,7 +576,7 @@ def test_a_summary_names_everything_that_matters(tmp_path):
     )
     summary = describe(load(written(tmp_path, text)).config)
     for fragment in (
-        "sphere cap, radius 100 mm, 50 x 40 mm",
+        "sphere cap, radius 100 mm, 50 x 50 mm",
         "disc_18mm, diameter 18 mm",
         "hilbert, order 3",
         "tuned in [2, 15] °, from 3",

@@ -8,11 +8,11 @@ import json
 import sys
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .asked import Limits, Process, Start, Target
 from .given import Abrasive, Hilbert, Lines, Machine, Part, Section, Tool, named
-from .quantity import Between, Tuned
+from .quantity import Between, Tuned, reject
 
 
 class Texture(Section):
@@ -33,8 +33,6 @@ class Solver(Section):
     """How many searches run side by side, from different places; the first from `start`."""
     seed: Annotated[int, Between("[0, 1e9]")] = 0
     """Seed of the other places."""
-    max_outer: Annotated[int, Between("[1, 1000]")] = 30
-    """Most rounds of the search (updates of the multipliers)."""
     tolerance: Annotated[float, Between("(0, 0.1]")] = 1e-6
     """How exactly the conditions of the optimum must hold."""
 
@@ -91,6 +89,25 @@ class Config(Section):
     """How the answer is searched for."""
     sampling: Sampling = Sampling()
     """How finely the physics is sampled."""
+
+    @model_validator(mode="after")
+    def _guide_fits(self):
+        x, y = self.part.size_mm
+        if isinstance(self.guide, Hilbert) and abs(x - y) > 1e-6 * x:
+            reject(
+                (
+                    ("guide", "family"),
+                    f"must be 'lines' here: a Hilbert curve needs a square part, and this "
+                    f"one is {x:g} mm x {y:g} mm",
+                    self.guide.family,
+                )
+            )
+        if isinstance(self.guide, Lines) and self.guide.count * x <= y:
+            sentence = (
+                f"must be above {y / x:.4g}: lines of {x:g} mm cannot turn in {y:g} mm"
+            )
+            reject((("guide", "count"), sentence, self.guide.count))
+        return self
 
     def tuned(self) -> dict[str, Tuned]:
         """The process values that the optimiser moves, by key."""
