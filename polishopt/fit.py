@@ -88,9 +88,9 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     from . import results
 
     with told.status("drawing"):
-        results.write(tuning, job, loaded, target, say)
+        scatter = results.write(tuning, job, loaded, target, say)
     say(f"results are in {target}")
-    report.show(console, tuning, job, loaded)
+    report.show(console, tuning, job, loaded, scatter)
     return int(tuning.verdict)
 
 

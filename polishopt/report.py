@@ -4,6 +4,8 @@ Numbers are shown in the units of the trade, with the symbols of the papers besi
 words.
 """
 
+from typing import NamedTuple
+
 from rich.console import Console
 from rich.table import Table
 
@@ -118,7 +120,18 @@ def conflict(tuning: Tuning) -> list[str]:
     return sorted(found, key=lambda name: -abs(weights[name]))
 
 
-def show(console: Console, tuning: Tuning, job: Job, loaded: Loaded) -> None:
+class Scatter(NamedTuple):
+    """How far the numbers of one measured patch scatter."""
+
+    side: float
+    """Side of the patch [mm]."""
+    errors: dict[str, float]
+    """Standard error of each texture parameter [mm or -]."""
+
+
+def show(
+    console: Console, tuning: Tuning, job: Job, loaded: Loaded, scatter: Scatter
+) -> None:
     """Prints the tables of an answer.
 
     Args:
@@ -126,9 +139,11 @@ def show(console: Console, tuning: Tuning, job: Job, loaded: Loaded) -> None:
         tuning: The answer.
         job: What was asked, assembled.
         loaded: What was asked, as typed.
+        scatter: How far a measurement of the texture would scatter.
     """
     console.print(_settings(tuning, loaded.config))
-    console.print(_texture(tuning, job))
+    console.print(_texture(tuning, job, scatter))
+    console.print(f"± is one standard error of a measured patch of {scatter.side:.2g} mm.")
     console.print(_limits(tuning, job))
     console.print(_outcomes(tuning))
     count = tuning.statuses.shape[0]
@@ -175,14 +190,16 @@ def _settings(tuning: Tuning, config: Config) -> Table:
     return table
 
 
-def _texture(tuning: Tuning, job: Job) -> Table:
-    table = empty_table("Texture", "", "unit", "target", "reached", "miss in tolerances")
+def _texture(tuning: Tuning, job: Job, scatter: Scatter) -> Table:
+    head = ("", "unit", "target", "reached", "±", "miss in tolerances")
+    table = empty_table("Texture", *head)
     for name, goal in job.target.items():
         unit = OUTCOME_UNITS.get(name, ("", ""))[0]
         aim = from_internal(float(goal.value), unit)
         reached = from_internal(float(getattr(tuning.outcome, name)), unit)
         miss = f"{float(tuning.misses[name]):+.2g}"
-        table.add_row(name, label(unit), f"{aim:.4f}", f"{reached:.4f}", miss)
+        error = f"{from_internal(scatter.errors[name], unit):.2g}"
+        table.add_row(name, label(unit), f"{aim:.4f}", f"{reached:.4f}", error, miss)
     return table
 
 

@@ -27,6 +27,7 @@ from .parts import Abrasive, Process, Scalar
 from .setup import FINE, Setup
 from .texture.evolution import draw_patch
 from .texture.scratches import decay_rate, groove_depth
+from .texture.uncertainty import moment_errors
 
 
 INNER_UNITS = {
@@ -50,7 +51,7 @@ GROOVE_PIXELS = 8  # width of a mean groove in a drawn patch
 
 def write(
     tuning: Tuning, job: Job, loaded: Loaded, target: Path, say: Callable[[str], None]
-) -> None:
+) -> report.Scatter:
     """Writes all results of a fit.
 
     Args:
@@ -59,6 +60,9 @@ def write(
         loaded: The config it came from.
         target: The folder; exists.
         say: Called with a sentence as things get done.
+
+    Returns:
+        How far a measured patch as large as the drawn one scatters.
     """
     numbers(tuning, job, loaded, target)
     write_text(
@@ -86,6 +90,7 @@ def write(
         paint("removal.png", plots.removal, removal, size)
         heights, extent = texture_patch(tuning, job, loaded.config)
         paint("texture.png", plots.texture, heights, extent, tuning.outcome)
+        errors, _ = eqx.filter_jit(moment_errors)(jnp.asarray(heights))
         title = f"Texture drawn by polishopt, not measured: {loaded.config.title}"
         start = loaded.config.start
         if start.file or start.milled or start.roughness:
@@ -96,6 +101,10 @@ def write(
         say("drawing the pictures")
         for picture in painted:
             picture.result()  # raises what it raised
+    names = ("Sa", "Sq", "Ssk", "Sku")
+    return report.Scatter(
+        float(extent[0]), dict(zip(names, np.asarray(errors).tolist(), strict=True))
+    )
 
 
 def rehearse(job: Job) -> None:

@@ -89,5 +89,6 @@ from .spatial import (
 )
 from .uncertainty import (
     StandardErrors as StandardErrors,
+    moment_errors as moment_errors,
     standard_errors as standard_errors,
 )
