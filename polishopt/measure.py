@@ -169,7 +169,7 @@ def measure(surface: Topography, given: argparse.Namespace, target: Path) -> Non
     )
     with Console(stderr=True, quiet=given.quiet).status("measuring"):
         values = dict(scalars(eqx.filter_jit(areal_parameters)(heights, spacing)))
-        errors = dict(scalars(eqx.filter_jit(standard_errors)(heights, spacing)))
+        errors = dict(scalars(eqx.filter_jit(standard_errors)(heights)))
     rows = list(table(values, errors))
     asked = filters(given)
     sides = " x ".join(f"{side:.4g}" for side in reversed(surface.extent))
