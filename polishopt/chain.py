@@ -41,6 +41,10 @@ from .texture.scratches import decay, decay_rate, groove_cumulants
 # Stations are worked off a few at a time: a batch that stays in the processor's cache is
 # several times faster than all of them at once, most of all when differentiated.
 STATIONS_AT_ONCE = 16
+# With more stations than this, a gradient computes them twice rather than keep them: what
+# it would keep no longer fits the cache either (a gradient of order 5 costs 4.9 instead of
+# 6.7 forward runs, one of order 3 would cost more than it does).
+MOST_KEPT = 1000
 
 
 class Outcome(eqx.Module):
@@ -208,6 +212,8 @@ def along(process: Process, setup: Setup) -> Stations:
             volumes=volumes,
         )
 
+    if s.size > MOST_KEPT:
+        station = jax.checkpoint(station)
     return jax.lax.map(station, (s, weight), batch_size=STATIONS_AT_ONCE)
 
 
