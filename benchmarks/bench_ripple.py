@@ -3,7 +3,8 @@
 Prints, for the plane part of the paper at steps of 1, 2 and 4 mm, the rms of the removal
 over four starting phases of the trochoid beside the predicted one, and what each takes.
 Pixels hide ripple at small steps, and too few samples or nodes in the contact patch make
-some of their own: samples along a loop must lie about a pixel apart. Takes half an hour. Run as
+some of their own: samples along a loop must lie about a pixel apart. Takes half an hour.
+Run as
 
     python benchmarks/bench_ripple.py
 """

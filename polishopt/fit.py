@@ -11,8 +11,8 @@ import threading
 import time
 from pathlib import Path
 
-from .files.config import Loaded, describe
-from .session import BAD_INPUT, arguments, folder, preload, prepare, read
+from .files.config import Loaded
+from .session import arguments, begin, preload
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -22,20 +22,11 @@ def main(argv: list[str] | None = None) -> int:
         "Tunes a polishing step so that its texture hits the target within the limits. "
         "Exit codes: 0 solved, 2 bad input, 3 infeasible, 4 not converged.",
     )
-    given = parser.parse_args(argv)
-    loaded = read(given.config, given.overrides)
-    if loaded is None:
-        return BAD_INPUT
-    if given.check:
-        if not given.quiet:
-            print(describe(loaded.config, loaded.measured))
-        return 0
-    target = given.output or Path("runs") / given.config.stem
-    if not folder(target):
-        return BAD_INPUT
-    prepare(not given.no_cache)
+    asked = begin(parser, argv)
+    if isinstance(asked, int):
+        return asked
     try:
-        return fit(loaded, target, given.quiet)
+        return fit(asked.loaded, asked.target, asked.given.quiet)
     except KeyboardInterrupt:
         print("Interrupted: nothing more is written.", file=sys.stderr)
         return 130

@@ -4,10 +4,8 @@ The derivatives of all outcomes around the start of a config, without tuning any
 """
 
 import sys
-from pathlib import Path
 
-from .files.config import describe
-from .session import BAD_INPUT, arguments, folder, prepare, read
+from .session import arguments, begin
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -16,26 +14,16 @@ def main(argv: list[str] | None = None) -> int:
         "python -m polishopt.sensitivity",
         "Draws how each outcome moves with each tuned setting, around the start values.",
     )
-    given = parser.parse_args(argv)
-    loaded = read(given.config, given.overrides)
-    if loaded is None:
-        return BAD_INPUT
-    if given.check:
-        if not given.quiet:
-            print(describe(loaded.config, loaded.measured))
-        return 0
-    target = given.output or Path("runs") / given.config.stem
-    if not folder(target):
-        return BAD_INPUT
-    prepare(not given.no_cache)
-
+    asked = begin(parser, argv)
+    if isinstance(asked, int):
+        return asked
     from .files.assemble import job as assemble
     from .results import write_sensitivities
 
-    job = assemble(loaded.config)
-    write_sensitivities(job, job.process, target)
-    if not given.quiet:
-        print(f"{target / 'sensitivity.csv'}\n{target / 'sensitivity.png'}")
+    job = assemble(asked.loaded.config)
+    write_sensitivities(job, job.process, asked.target)
+    if not asked.given.quiet:
+        print(*(asked.target / f"sensitivity.{kind}" for kind in ("csv", "png")), sep="\n")
     return 0
 
 

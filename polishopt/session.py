@@ -12,8 +12,9 @@ import sys
 import threading
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
-from .files.config import ConfigError, Loaded, load
+from .files.config import ConfigError, Loaded, describe, load
 
 
 BAD_INPUT = 2
@@ -66,6 +67,42 @@ def folder(path: Path) -> bool:
         print(f"{path}: cannot be used as a folder for results: {error}", file=sys.stderr)
         return False
     return True
+
+
+class Asked(NamedTuple):
+    """What a command is to do."""
+
+    given: argparse.Namespace
+    """The arguments."""
+    loaded: Loaded
+    """The config."""
+    target: Path
+    """Folder for the results; exists."""
+
+
+def begin(parser: argparse.ArgumentParser, argv: list[str] | None) -> Asked | int:
+    """Reads arguments and config, makes the folder, and loads JAX.
+
+    Args:
+        parser: From `arguments`.
+        argv: The arguments; None for those of the command line.
+
+    Returns:
+        What to do; or the exit code, where that was all: a mistake, told, or a check.
+    """
+    given = parser.parse_args(argv)
+    loaded = read(given.config, given.overrides)
+    if loaded is None:
+        return BAD_INPUT
+    if given.check:
+        if not given.quiet:
+            print(describe(loaded.config, loaded.measured))
+        return 0
+    target = given.output or Path("runs") / given.config.stem
+    if not folder(target):
+        return BAD_INPUT
+    prepare(not given.no_cache)
+    return Asked(given, loaded, target)
 
 
 def preload(*modules: str) -> None:

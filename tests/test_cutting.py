@@ -331,7 +331,10 @@ def test_marks_repeat_and_scale():
     case = milled(TABLE_2[3])
     z, spacing = jit_marks(case, (30, 12), 3, REACH)
     lengths = ("outer_radius", "corner_radius", "step", "feed_per_tooth")
-    at = lambda m: [getattr(m, name) for name in lengths]  # noqa: E731
+
+    def at(m):
+        return [getattr(m, name) for name in lengths]
+
     metres = eqx.tree_at(at, case, [1e-3 * x for x in at(case)])
     z_m, spacing_m = jit_marks(metres, (30, 12), 3, REACH)
     assert_close(z_m, 1e-3 * z, atol=1e-15)
@@ -431,7 +434,9 @@ def test_feed_on_the_saddle_halves_in_the_middle():
         peak = np.flatnonzero((h[1:-1] > h[:-2]) & (h[1:-1] >= h[2:]))
         return np.mean(np.diff(np.asarray(x)[1 + peak]))
 
-    at = lambda x: float(np.interp(x, np.linspace(0, side, 1001), feed)) / 250  # noqa: E731
+    def at(x):
+        return float(np.interp(x, np.linspace(0, side, 1001), feed)) / 250
+
     slow, fast = spacing(side / 2), spacing(3.0)
     assert_close(slow, at(side / 2), rtol=0.02)
     assert_close(fast, at(3.0), rtol=0.02)
