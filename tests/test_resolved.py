@@ -17,8 +17,11 @@ from polishopt.chain import polish
 from polishopt.contact.removal import Grid
 from polishopt.files.assemble import job
 from polishopt.files.config import load
+from polishopt.machine.feed import usage
+from polishopt.machine.kinematics import inverse
 from polishopt.path.guide import hilbert, lines
 from polishopt.path.surface import Plane, SphereCap
+from polishopt.path.toolpath import posture
 from polishopt.resolved import removal, run, samples
 from polishopt.setup import Sampling
 
@@ -213,3 +216,24 @@ def test_time_of_the_true_path(surface, tilt, rtol):
     assert_close(time, want.time, rtol=rtol)
     assert fastest <= given.feed * (1 + 1e-9)
     assert want.time >= want.path_length / given.feed * (1 - 1e-9)
+
+
+def test_samples_gather_where_C_whips_past_the_pole():
+    """There the law knows how fast C must turn: even samples hide half of it."""
+    changed = ["guide.order=2", "process.tilt_deg.start=3"]
+    given = job(load(CONFIGS / "pessoles2009_convex.yaml", changed).config)
+    process, setup = given.process, given.setup
+    path = eqx.filter_jit(run)(process, setup, samples(process, setup))
+
+    def axes(s):
+        phase = 2 * jnp.pi * s / process.step
+        at = posture(setup.surface, setup.guide(s), phase, process, setup.tool.radius)
+        return inverse(at.tip, at.axis, setup.machine)
+
+    turned = np.abs(np.diff(path.axes[:, 4]))
+    assert turned.max() < 0.1
+    assert np.degrees(path.axes[:, 3].min()) < 0.3  # it does come that near
+    used = jax.jit(usage, static_argnames="path")(
+        path.axes, path.law, setup.machine, path.arc, process.feed, path.s, axes
+    )
+    assert used.speed.max() < 1.002

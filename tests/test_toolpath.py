@@ -35,7 +35,14 @@ MODES = pytest.mark.parametrize("pulling", [True, False], ids=["pulling", "pushi
 POINT = GuidePoint(jnp.asarray([12.0, 31.0]), jnp.asarray(0.8), jnp.asarray(0.0))
 RADIUS = jnp.asarray(9.0)
 place = eqx.filter_jit(posture)
-run = eqx.filter_jit(resolved)
+
+
+@eqx.filter_jit
+def run(surface, guide, settings, radius, samples, phase0=0.0):
+    s = jnp.linspace(0.0, guide.length, samples)
+    return resolved(surface, guide, settings, radius, s, phase0=phase0), s
+
+
 PHASE = jnp.asarray(2.5)
 
 
@@ -271,7 +278,6 @@ def test_resolved_samples_do_not_depend_on_the_step():
     guide = hilbert(2, SIZE)
     surface = SURFACES["convex"]
     postures, s = run(surface, guide, process(step=1.0), RADIUS, 500, phase0=0.3)
-    assert_close(s, np.linspace(0, guide.length, 500), rtol=1e-13, atol=1e-13)
     assert postures.contact.shape == postures.tip.shape == (500, 3)
     assert postures.xy.shape == (500, 2)
     other, s_other = run(surface, guide, process(step=2.7), RADIUS, 500, phase0=0.3)

@@ -109,12 +109,12 @@ def resolved(
     guide: Guide,
     process: Process,
     tool_radius: Scalar,
-    samples: int,
+    s: Float[Array, " n"],
     pulling: bool | int = True,
     lean: str = "guide",
     phase0: Scalar | float = 0.0,
     corner_radius: Scalar | float = 0.0,
-) -> tuple[Posture, Float[Array, " samples"]]:
+) -> Posture:
     r"""The tool path with every loop of the trochoid.
 
     The number of samples does not depend on the step: a finer step turns the phase
@@ -125,18 +125,17 @@ def resolved(
         guide: The curve along which the trochoid is rolled.
         process: Tilt, displacement, step and trochoid radius are read.
         tool_radius: Radius of the disc [mm].
-        samples: Number of points, equally spaced along the guide, ends included.
+        s: Arc lengths of the guide, one a sample [mm].
         pulling: True or 1 if the axis leans towards the feed, False or -1 if away.
         lean: "guide" or "fixed", as in `posture`.
         phase0: Phase at the start, $\varphi_0$ [rad].
         corner_radius: Radius of the disc's rounded edge [mm].
 
     Returns:
-        The postures, one a row, and the arc lengths of the guide that they belong to [mm].
+        The postures, one a row.
 
     Source: S0 (Pessoles & Tournier 2009), section 2.2.3.
     """
-    s = guide.length * (jnp.arange(samples, dtype=guide.length.dtype) / (samples - 1))
 
     def at(s: Scalar) -> Posture:
         phase = 2 * jnp.pi * s / process.step + phase0
@@ -151,4 +150,4 @@ def resolved(
             corner_radius,
         )
 
-    return jax.vmap(at)(s), s
+    return jax.vmap(at)(s)
