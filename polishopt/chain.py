@@ -1,87 +1,25 @@
 r"""Chain: the whole process as one function, from tilt and displacement to Ssk and Sku.
 
-The optimiser sees the process averaged over the phase at which each loop of the trochoid
-happens to start. At the end of a path ten metres long that phase turns with every micron
-of the step, so the map of one particular path is noise to a derivative, while its
-average is smooth. What the average leaves out is the ripple, whose strength is known in
-closed form. Along the guide, each station carries one loop of the trochoid: its feed is
-the fastest the axes allow for that loop run again and again.
+A step is mechanics first, which no texture changes, and then texture: what it makes of the
+surface it finds. So a plan of several steps hands nothing on but the surface.
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
 
-from .contact.pressure import (
-    body_clearance,
-    effective_diameter,
-    envelope,
-    patch,
-    shear_margin,
-    unstick_force,
-)
-from .contact.removal import deposit, fraction_inside, preston_rates
-from .contact.ripple import Ripple, ripple
-from .machine.feed import Limits
-from .machine.kinematics import inverse
-from .machine.loop import loop_rate
+from .mechanics import Mechanics, mechanics
 from .parts import Process, Scalar
-from .path.surface import area_stretch, curvature, tangent_to_parameter
-from .path.toolpath import posture
-from .setup import Setup
+from .setup import Setup, Start
 from .texture.areal import Cumulants, cumulants
 from .texture.evolution import Texture, combine
 from .texture.filters import gaussian_transmission, transmit, wavelengths
 from .texture.planarisation import asperity_stiffness, planarise
-from .texture.scratches import decay, decay_rate, groove_cumulants
+from .texture.scratches import decay, decay_rate, groove_population
 
 
-# Stations are worked off a few at a time: a batch that stays in the processor's cache is
-# several times faster than all of them at once, most of all when differentiated.
-STATIONS_AT_ONCE = 16
-# With more stations than this, a gradient computes them twice rather than keep them: what
-# it would keep no longer fits the cache either (a gradient of order 5 costs 4.9 instead of
-# 6.7 forward runs, one of order 3 would cost more than it does).
-MOST_KEPT = 1000
+class Outcome(Mechanics):
+    """What one polishing step does, to the part and to its texture."""
 
-
-class Outcome(eqx.Module):
-    """What one polishing step does."""
-
-    force: Scalar
-    """Force normal to the part, averaged over time [N]."""
-    force_max: Scalar
-    """Its largest value along the path [N]."""
-    pressure: Scalar
-    """Mean pressure in the contact [MPa]."""
-    contact_area: Scalar
-    """Area in contact, averaged over time [mm^2]."""
-    effective_diameter: Scalar
-    """Width that the disc wipes on a flat, D_eff [mm]."""
-    envelope: Scalar
-    """Width of the strip polished by one trochoid, E [mm]."""
-    time: Scalar
-    """Duration of all passes [s]."""
-    feed: Scalar
-    """Speed of the contact point that is reached on average over the path [mm/s]."""
-    path_length: Scalar
-    """Length of the contact path, all passes [mm]."""
-    mean_removal: Scalar
-    """Depth removed, averaged over the part [mm]."""
-    removal: Float[Array, "ny nx"]
-    """Depth removed, averaged over the loops' phase, `[y, x]` [mm]."""
-    spread: Scalar
-    """Standard deviation of `removal` over the part, over its mean [-]."""
-    ripple: Scalar
-    """Rms of the removal's ripple along the guide, over the mean removal [-]."""
-    body_clearance: Scalar
-    """Displacement left before the rigid body touches [mm]."""
-    unstick_margin: Scalar
-    """Force left before the disc comes unstuck [N]."""
-    shear_margin: Scalar
-    """Shear stress left before the adhesive fails [MPa]."""
     Sa: Scalar
     """Mean absolute height of the finished texture, estimated from the others [mm]."""
     Sq: Scalar
@@ -91,130 +29,10 @@ class Outcome(eqx.Module):
     Sku: Scalar
     """Kurtosis [-]."""
     parts: tuple[Cumulants, ...]
-    """Cumulants of what is left of the start map, of earlier scratches, of this step's
-    scratches, and of the ripple [mm^2, mm^3, mm^4]."""
-
-
-class Stations(eqx.Module):
-    """The process at stations along the guide (k), and phases of the loop there (j)."""
-
-    weight: Float[Array, "*k"]
-    """Length of guide that a station stands for [mm]."""
-    pace: Float[Array, "*k j"]
-    """Time per length of guide [s/mm]."""
-    dwell: Float[Array, "*k j"]
-    """Time that a station and phase stand for, one pass [s]."""
-    length: Float[Array, "*k j"]
-    """Contact path that they stand for, one pass [mm]."""
-    curvature: Float[Array, "*k 2 2"]
-    """Normal curvature of the part along (feed, left), averaged over the loop [1/mm]."""
-    force: Float[Array, "*k"]
-    """Force normal to the part [N]."""
-    area: Float[Array, "*k"]
-    """Area in contact [mm^2]."""
-    kept: Float[Array, "*k"]
-    """Volume that a station's loop removes from the part, one pass [mm^3]."""
-    points: Float[Array, "*k n 2"]
-    """Where each node of its contact patches removes, in the parameter plane [mm]."""
-    volumes: Float[Array, "*k n"]
-    """How much it removes there, one pass [mm^3]."""
-
-
-def along(process: Process, setup: Setup) -> Stations:
-    r"""Posture, true feed, contact and removal at all stations and phases.
-
-    The axes move with the derivative $\partial_s + (2\pi/p)\,\partial_\varphi$ along the
-    path, and the feed follows from it loop by loop.
-
-    Args:
-        process: The settings.
-        setup: The job.
-    """
-    s, weight = setup.guide.stations(setup.sampling.stations)
-    count, side = setup.sampling.phases, setup.side
-    phases = jnp.asarray(2 * np.pi * np.arange(count) / count, dtype=s.dtype)
-    limits = Limits.of(setup.machine)
-    spacing = process.step / count
-    surface, grid = setup.surface, setup.grid
-
-    def footing(bend):
-        sampling = setup.sampling
-        return patch(
-            process, setup.tool, bend, side, sampling.rows, sampling.columns, setup.panels
-        )
-
-    # one contact patch serves all phases of a loop, and on a plane all stations
-    level = footing(jnp.zeros((2, 2), dtype=s.dtype)) if setup.flat else None
-
-    def at(s, phase):
-        def move(t):
-            place = posture(
-                surface,
-                setup.guide(s + t),
-                phase + 2 * jnp.pi * t / process.step,
-                process,
-                setup.tool.radius,
-                setup.pulling,
-                setup.lean,
-            )
-            axes = inverse(place.tip, place.axis, setup.machine)
-            return (place.contact, axes), place
-
-        def moving(t):
-            _, (dcontact, daxes), place = jax.jvp(
-                move, (t,), (jnp.ones_like(t),), has_aux=True
-            )
-            return (dcontact, daxes), place
-
-        zero = jnp.zeros_like(s)
-        (dcontact, daxes), (_, ddaxes), place = jax.jvp(
-            moving, (zero,), (jnp.ones_like(zero),), has_aux=True
-        )
-        return place, dcontact, daxes, ddaxes
-
-    def touch(nodes, place, tangent, speed, dwell):
-        f, b = place.feed_direction, place.side
-        velocity = speed * jnp.stack([jnp.sum(tangent * f), jnp.sum(tangent * b)])
-        rates = preston_rates(
-            nodes, setup.abrasive.preston, process.tilt, process.spin, velocity, side
-        )
-        frame = tangent_to_parameter(surface, place.xy, f, b)
-        xi, eta = nodes.offsets[..., 0], nodes.offsets[..., 1]
-        x, y = (place.xy[i] + frame[i, 0] * xi + frame[i, 1] * eta for i in (0, 1))
-        points = jnp.stack([x.reshape(-1), y.reshape(-1)], axis=-1)
-        return points, dwell * rates.reshape(-1)
-
-    def bend(place):
-        return curvature(surface, place.xy, place.feed_direction, place.side)
-
-    def station(given):
-        s, weight = given
-        place, tangent, dq, ddq = jax.vmap(at, in_axes=(None, 0))(s, phases)
-        rate = jnp.sqrt(jnp.sum(tangent**2, axis=1))
-        speed = loop_rate(dq, ddq, rate, spacing, process.feed, limits)
-        dwell = weight / count / speed
-        mean_bend = jnp.mean(jax.vmap(bend)(place), axis=0)
-        nodes = footing(mean_bend) if level is None else level
-        points, volumes = jax.vmap(touch, in_axes=(None, 0, 0, 0, 0))(
-            nodes, place, tangent, speed, dwell
-        )
-        points, volumes = points.reshape(-1, 2), volumes.reshape(-1)
-        return Stations(
-            weight=weight,
-            pace=1 / speed,
-            dwell=dwell,
-            length=weight / count * rate,
-            curvature=mean_bend,
-            force=nodes.force,
-            area=nodes.contact_area,
-            kept=jnp.sum(volumes * fraction_inside(points, grid)),
-            points=points,
-            volumes=volumes,
-        )
-
-    if s.size > MOST_KEPT:
-        station = jax.checkpoint(station)
-    return jax.lax.map(station, (s, weight), batch_size=STATIONS_AT_ONCE)
+    """Cumulants of what is left of the start map, of earlier scratches and ripples, of
+    this step's scratches, and of its ripple [mm^2, mm^3, mm^4]."""
+    left: Start
+    """The surface as the next step finds it."""
 
 
 def polish(process: Process, setup: Setup) -> Outcome:
@@ -233,118 +51,72 @@ def polish(process: Process, setup: Setup) -> Outcome:
 
     Source: S0 (Pessoles & Tournier 2009) for the process; the texture model is our own.
     """
-    path = along(process, setup)
-    share = jnp.sum(path.dwell, axis=1) / jnp.sum(path.dwell)
-    force, area = jnp.sum(share * path.force), jnp.sum(share * path.area)
-    touching = area > 0
-    pressure = jnp.where(touching, force / jnp.where(touching, area, 1.0), 0.0)
-    force_max = jnp.max(path.force)
+    return finish(mechanics(process, setup), setup, setup.start)
 
-    grid = setup.grid
-    pixels = jnp.stack(jnp.meshgrid(grid.x, grid.y), axis=-1).reshape(-1, 2)
-    stretch = jax.vmap(lambda xy: area_stretch(setup.surface, xy))(pixels)
-    stretch = stretch.reshape(grid.shape)
-    part_area = jnp.sum(stretch) * grid.pixel_area
-    mean_removal = process.passes * jnp.sum(path.kept) / part_area
-    points, volumes = path.points.reshape(-1, 2), path.volumes.reshape(-1)
-    removal = process.passes * deposit(points, volumes, grid) / stretch
-    variance = (
-        jnp.sum(stretch * (removal - mean_removal) ** 2) * grid.pixel_area / part_area
-    )
-    spread = _ratio(variance, mean_removal)
 
-    waves = _ripple(process, setup, path)
-    total = jnp.sum(path.volumes)
-    inside = jnp.where(touching, jnp.sum(path.kept) / jnp.where(touching, total, 1.0), 0.0)
-    density = setup.guide.length / part_area * inside
-    passed = 1 - gaussian_transmission(waves.wavelengths, setup.roughness_cutoff)
-    bare, _ = waves.moments(density)
-    second, fourth = waves.moments(density, passed)
-    rippled = Cumulants(second, jnp.zeros_like(second), fourth)
+def finish(done: Mechanics, setup: Setup, start: Start) -> Outcome:
+    """The texture that a step leaves, given what it does to the part.
 
-    parts = (*evolved(setup, pressure, mean_removal), rippled)
+    Args:
+        done: From `mechanics`.
+        setup: Abrasive, roughness filter and sampling are read.
+        start: The surface that the step finds.
+    """
+    rest, left = evolved(setup, start, done.pressure, done.mean_removal)
+    *earlier, own = left.scratches
+    zero = jnp.zeros_like(done.pressure)
+    total = Cumulants(zero, zero, zero)
+    for population in earlier:
+        total = Cumulants(*(a + b for a, b in zip(total, population, strict=True)))
+    parts = (rest, total, own.cumulants, done.waves.cumulants)
     texture: Texture = combine(*parts)
-    time = process.passes * jnp.sum(path.dwell)
-    length = process.passes * jnp.sum(path.length)
     return Outcome(
-        force=force,
-        force_max=force_max,
-        pressure=pressure,
-        contact_area=area,
-        effective_diameter=effective_diameter(
-            setup.tool.radius, process.tilt, process.displacement
-        ),
-        envelope=envelope(setup.tool.radius, process),
-        time=time,
-        feed=length / time,
-        path_length=length,
-        mean_removal=mean_removal,
-        removal=removal,
-        spread=spread,
-        ripple=_ratio(bare, mean_removal),
-        body_clearance=body_clearance(process, setup.tool),
-        unstick_margin=unstick_force(process.tilt, setup.tool) - force_max,
-        shear_margin=shear_margin(process, setup.tool),
+        **vars(done),
         Sa=texture.Sa,
         Sq=texture.Sq,
         Ssk=texture.Ssk,
         Sku=texture.Sku,
         parts=parts,
+        left=eqx.tree_at(lambda s: s.scratches, left, (*left.scratches, done.waves)),
     )
 
 
 def evolved(
-    setup: Setup, pressure: Scalar, removal: Scalar
-) -> tuple[Cumulants, Cumulants, Cumulants]:
-    """Cumulants of what a step leaves: start map, earlier scratches, its own scratches.
+    setup: Setup, start: Start, pressure: Scalar, removal: Scalar
+) -> tuple[Cumulants, Start]:
+    """What a step makes of a surface, ripple apart.
 
     Args:
-        setup: Abrasive, start texture and roughness filter are read.
+        setup: Abrasive, roughness filter and sampling are read.
+        start: The surface that the step finds.
         pressure: Mean contact pressure [MPa].
         removal: Mean height removed [mm].
+
+    Returns:
+        Cumulants of what the roughness filter lets through of the start map's rest, and
+        the surface after the step; its last population are the step's own scratches.
     """
-    rate = decay_rate(setup.abrasive, pressure)
-    earlier = decay(setup.start.scratches, removal, rate)
-    own = groove_cumulants(setup.abrasive, pressure, removal)
+    abrasive = setup.abrasive
+    rate = decay_rate(abrasive, pressure)
+    scratches = (
+        *(decay(old, removal, rate, abrasive.conformity) for old in start.scratches),
+        groove_population(abrasive, pressure, removal),
+    )
     zero = jnp.zeros_like(removal)
     rest = Cumulants(zero, zero, zero)
-    if setup.start.heights is not None:
-        spacing = setup.start.spacing
-        left = planarise(
-            setup.start.heights,
+    heights, spacing = start.heights, start.spacing
+    if heights is not None:
+        heights = planarise(
+            heights,
             removal,
             pressure,
-            asperity_stiffness(setup.abrasive),
-            setup.abrasive.conformity,
+            asperity_stiffness(abrasive),
+            abrasive.conformity,
             spacing,
             setup.sampling.planarisation,
         )
-        waves = wavelengths(left, spacing)
+        waves = wavelengths(heights, spacing)
         rest = cumulants(
-            transmit(left, 1 - gaussian_transmission(waves, setup.roughness_cutoff))
+            transmit(heights, 1 - gaussian_transmission(waves, setup.roughness_cutoff))
         )
-    return rest, earlier, own
-
-
-def _ripple(process: Process, setup: Setup, path: Stations) -> Ripple:
-    """Ripple of the removal, from the mean curvature and the mean loop of the path."""
-    share = path.weight / jnp.sum(path.weight)
-    bend = jnp.einsum("k,kab->ab", share, path.curvature)
-    square = jnp.sum(share[:, None] * path.pace**2) / path.pace.shape[1]
-    return ripple(
-        process,
-        setup.tool,
-        process.passes * setup.abrasive.preston,
-        setup.guide.bends() if setup.lean == "guide" else setup.guide.compass(),
-        bend,
-        jnp.sqrt(square),
-        process.passes * jnp.sum(path.volumes) / jnp.sum(path.dwell),
-        setup.side,
-    )
-
-
-def _ratio(variance: Scalar, mean: Scalar) -> Scalar:
-    """Standard deviation over mean; 0, with a gradient of 0, where either vanishes."""
-    some = (variance > 0) & (mean > 0)
-    root = jnp.sqrt(jnp.where(some, variance, 1.0)) / jnp.where(some, mean, 1.0)
-    return jnp.where(some, root, 0.0)
+    return rest, Start(scratches, heights, spacing)

@@ -144,7 +144,7 @@ def numbers(tuning: Tuning, job: Job, loaded: Loaded, target: Path) -> None:
     outcome = {
         field.name: getattr(tuning.outcome, field.name)
         for field in dataclasses.fields(tuning.outcome)
-        if field.name not in ("removal", "parts")
+        if field.name not in ("removal", "load", "waves", "parts", "left")
     }
     names = ("start map", "earlier scratches", "scratches", "ripple")
     parts = {

@@ -14,20 +14,14 @@ from .contact.removal import Grid
 from .parts import Abrasive, Machine, Scalar, Tool, as_array, as_scalar
 from .path.guide import Guide
 from .path.surface import Plane
-from .texture.areal import Cumulants
-from .texture.scratches import Scratches
-
-
-def _no_scratches() -> Scratches:
-    zero = as_scalar(0.0)
-    return Cumulants(zero, zero, zero)
+from .texture.scratches import Population
 
 
 class Start(eqx.Module):
     """The texture that the step begins with: a height map, scratches, or both."""
 
-    scratches: Scratches = eqx.field(default_factory=_no_scratches)
-    """What earlier grades left, as cumulants [mm^2, mm^3, mm^4]."""
+    scratches: tuple[Population, ...] = ()
+    """What earlier grades left, and the ripple of their paths."""
     heights: Float[Array, "ny nx"] | None = None
     """A periodic height map, such as a milled surface; None for none [mm]."""
     spacing: Float[Array, "2"] = eqx.field(
@@ -84,6 +78,10 @@ class Setup(eqx.Module):
     """Whether the part bends upwards anywhere; False saves half the work in contacts."""
     sampling: Sampling = eqx.field(default_factory=Sampling)
     """How finely averages are taken."""
+    idealised: tuple[str, ...] = eqx.field(static=True, default=())
+    """What to leave out, to see what it does: "contact" takes the part as flat under the
+    disc, "stretch" takes lengths and areas as those of the parameter plane, "feed" has
+    axes without limits."""
 
     @property
     def side(self) -> float:

@@ -22,6 +22,7 @@ from polishopt.path.guide import hilbert
 from polishopt.setup import Sampling, Start
 from polishopt.texture.areal import parameters_from_cumulants
 from polishopt.texture.milling import MilledSurface, milled_cumulants, milled_map
+from polishopt.texture.scratches import Population
 
 
 CONFIGS = Path(__file__).parent.parent / "configs"
@@ -225,7 +226,7 @@ def test_no_contact_leaves_the_start_texture():
     assert out.force == out.pressure == out.contact_area == 0
     assert out.mean_removal == out.spread == out.ripple == 0
     assert not np.any(out.removal)
-    Sq, Ssk, Sku = parameters_from_cumulants(*plane().setup.start.scratches)
+    Sq, Ssk, Sku = parameters_from_cumulants(*plane().setup.start.scratches[0])
     assert_close([out.Sq, out.Ssk, out.Sku], [Sq, Ssk, Sku], rtol=1e-12)
 
 
@@ -263,9 +264,8 @@ def in_metres(process, setup):
         setup,
         replace_fn=lambda x: x * per_area,
     )
-    start = jax.tree.map(
-        lambda k, n: k * mm**n, setup.start.scratches, type(setup.start.scratches)(2, 3, 4)
-    )
+    units = (Population(mm**2, mm**3, mm**4, mm),)
+    start = jax.tree.map(lambda k, unit: k * unit, setup.start.scratches, units)
     return process, eqx.tree_at(
         lambda s: (s.machine, s.tool.foundation, s.abrasive.preston, s.start.scratches),
         setup,

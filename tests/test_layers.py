@@ -18,7 +18,7 @@ texture.filters texture.areal texture.hybrid texture.lay texture.spatial texture
 texture.feature texture.uncertainty texture.parameters
 texture.milling texture.cutter texture.cutting texture.marks
 texture.planarisation texture.scratches texture.evolution texture
-setup chain resolved
+setup mechanics chain resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.auglag optimize.tune optimize.sensitivity optimize
 files

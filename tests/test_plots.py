@@ -17,7 +17,8 @@ from polishopt.parts import Abrasive, Machine, Process, Tool
 from polishopt.path.guide import lines
 from polishopt.path.surface import Plane, SphereCap
 from polishopt.resolved import run
-from polishopt.setup import Setup
+from polishopt.setup import Setup, Start
+from polishopt.texture.scratches import Population
 
 
 PROCESS = {"tilt": 0.1, "displacement": 0.5, "step": 1.0, "trochoid_radius": 2.0}
@@ -68,7 +69,9 @@ def outcome(**values):
     """An outcome with some values, and NaN for the rest."""
     named = {field.name: jnp.asarray(jnp.nan) for field in dataclasses.fields(Outcome)}
     named |= {name: jnp.asarray(value) for name, value in values.items()}
-    return Outcome(**{**named, "removal": jnp.zeros((2, 2)), "parts": ()})
+    maps = {"removal": jnp.zeros((2, 2)), "load": jnp.zeros((2, 2))}
+    texture = {"waves": Population(), "parts": (), "left": Start()}
+    return Outcome(**{**named, **maps, **texture})
 
 
 def labels(figure):

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close
-from polishopt import Goal, Limits, Outcome, Process, Setup, tune
+from polishopt import Goal, Limits, Outcome, Process, Setup, Start, tune
 from polishopt.files.assemble import job
 from polishopt.files.config import load
 from polishopt.optimize.tune import Verdict, excesses, misses, spread_starts
+from polishopt.texture.scratches import Population
 from scipy.optimize import minimize
 
 
@@ -36,7 +37,10 @@ def toy(process: Process, setup: Setup) -> Outcome:
         "unstick_margin": 4 - 5 * hard + 10 * tilt,
         "body_clearance": 0.6 + 4 * tilt - e,
         "removal": jnp.zeros((1, 1)),
+        "load": jnp.zeros((1, 1)),
+        "waves": Population(),
         "parts": (),
+        "left": Start(),
     }
     rest = {field.name: jnp.zeros(()) for field in dataclasses.fields(Outcome)}
     fields: dict[str, Any] = rest | given

@@ -12,10 +12,9 @@ from ..optimize.tune import Goal, Limits
 from ..parts import AXES, Abrasive, Machine, Process, Scalar, Tool, as_scalar
 from ..path.guide import hilbert, lines
 from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
-from ..texture.areal import Cumulants
 from ..texture.marks import milled_marks
 from ..texture.milling import MilledSurface, milled_map
-from ..texture.scratches import Scratches, groove_cumulants
+from ..texture.scratches import Population, groove_population
 from .config import Config
 from .measured import start_map
 from .quantity import Tuned, internal
@@ -152,18 +151,16 @@ def start(config: Config) -> jobs.Start:
         measured = start_map(asked.file, config.sampling.start_points)
         heights = jnp.asarray(measured.heights, dtype=float)
         return jobs.Start(heights=heights, spacing=measured.spacing)
-    zero = as_scalar(0.0)
-    scratches = Cumulants(zero, zero, zero)
+    scratches: tuple[Population, ...] = ()
     if asked.scratches is not None:
         grade = abrasive(asked.scratches.abrasive)
         pressure = as_scalar(internal(asked.scratches)["pressure"])
-        scratches = steady_scratches(grade, pressure)
+        scratches = (steady_scratches(grade, pressure),)
     elif asked.roughness is not None:
         rough = internal(asked.roughness)
         square = as_scalar(rough["Sq"]) ** 2
-        scratches = Cumulants(
-            square, rough["Ssk"] * square**1.5, (rough["Sku"] - 3.0) * square**2
-        )
+        third, fourth = rough["Ssk"] * square**1.5, (rough["Sku"] - 3.0) * square**2
+        scratches = (Population(square, third, fourth),)
     if asked.milled is None:
         return jobs.Start(scratches=scratches)
     given = internal(asked.milled)
@@ -177,9 +174,9 @@ def start(config: Config) -> jobs.Start:
 
 
 @eqx.filter_jit  # one compilation, not one for each of its operations
-def steady_scratches(grade: Abrasive, pressure: Scalar) -> Scratches:
-    """What a grade that has polished for long leaves [mm^2, mm^3, mm^4]."""
-    return groove_cumulants(grade, pressure, LONG_AGO * grade.grain)
+def steady_scratches(grade: Abrasive, pressure: Scalar) -> Population:
+    """What a grade that has polished for long leaves."""
+    return groove_population(grade, pressure, LONG_AGO * grade.grain)
 
 
 def limits(config: Config) -> Limits:
