@@ -28,6 +28,10 @@ class Outcome(Mechanics):
     """Skewness [-]."""
     Sku: Scalar
     """Kurtosis [-]."""
+    Sz: Scalar
+    """Height from the deepest pit to the highest peak, estimated without filter [mm]."""
+    Sz_before: Scalar
+    """The same of the surface that the step finds [mm]."""
     parts: tuple[Cumulants, ...]
     """Cumulants of what is left of the start map, of earlier scratches and ripples, of
     this step's scratches, and of its ripple [mm^2, mm^3, mm^4]."""
@@ -70,14 +74,17 @@ def finish(done: Mechanics, setup: Setup, start: Start) -> Outcome:
         total = Cumulants(*(a + b for a, b in zip(total, population, strict=True)))
     parts = (rest, total, own.cumulants, done.waves.cumulants)
     texture: Texture = combine(*parts)
+    left = eqx.tree_at(lambda s: s.scratches, left, (*left.scratches, done.waves))
     return Outcome(
         **vars(done),
         Sa=texture.Sa,
         Sq=texture.Sq,
         Ssk=texture.Ssk,
         Sku=texture.Sku,
+        Sz=left.Sz,
+        Sz_before=start.Sz,
         parts=parts,
-        left=eqx.tree_at(lambda s: s.scratches, left, (*left.scratches, done.waves)),
+        left=left,
     )
 
 

@@ -29,6 +29,19 @@ class Start(eqx.Module):
     )
     """Distance of its points along y and x [mm]."""
 
+    @property
+    def Sz(self) -> Scalar:
+        """Height from the deepest pit to the highest peak, estimated [mm].
+
+        The range of the height map, and six standard deviations of everything else: what
+        a few hundred independent points of Gaussian heights span.
+        """
+        zero = jnp.zeros((), self.spacing.dtype)
+        square = sum((old.k2 for old in self.scratches), zero)
+        some = square > 0
+        rest = jnp.where(some, 6.0 * jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)
+        return rest if self.heights is None else rest + jnp.ptp(self.heights)
+
 
 class Sampling(eqx.Module):
     """How finely the averages over path and contact are taken; all static."""

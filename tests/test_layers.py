@@ -18,9 +18,9 @@ texture.filters texture.areal texture.hybrid texture.lay texture.spatial texture
 texture.feature texture.uncertainty texture.parameters
 texture.milling texture.cutter texture.cutting texture.marks
 texture.planarisation texture.scratches texture.evolution texture
-setup mechanics chain resolved
+setup mechanics chain plan resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
-optimize.auglag optimize.tune optimize.sensitivity optimize
+optimize.auglag optimize.goals optimize.tune optimize.sensitivity optimize
 files
 plots report results session fit sensitivity measure texture.__main__
 """

@@ -158,6 +158,8 @@ class Limits(Section):
     """Mean depth to remove at least."""
     most_removal_um: Annotated[float, Between("(0, 1e4]")] | None = None
     """Mean depth to remove at most."""
+    removal_over_Sz: Truth = False
+    """Remove at least the height Sz, estimated, of the surface that the step finds."""
     spread_percent: Annotated[float, Between("(0, 1000]")] | None = None
     """Largest standard deviation of the removed depth over the part, over its mean."""
 

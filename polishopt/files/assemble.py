@@ -4,6 +4,8 @@ The one place where both sides meet: everything in `files` before it knows no JA
 nothing behind it knows a file.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 
@@ -183,9 +185,12 @@ def limits(config: Config) -> Limits:
     """The limits; the tool's own hold only where the tool knows them."""
     given = internal(config.limits)
     numbers = ("time", "force", "least_removal", "most_removal", "spread")
-    held = {k: None if given[k] is None else as_scalar(given[k]) for k in numbers}
+    held: dict[str, Any] = {
+        k: None if given[k] is None else as_scalar(given[k]) for k in numbers
+    }
     return Limits(
         **held,
+        clears=config.limits.removal_over_Sz,
         unstick=config.limits.unstick and config.tool.unstick is not None,
         shear=config.limits.unstick and config.tool.shear_strength_MPa is not None,
         rigid_body=config.limits.rigid_body,

@@ -10,10 +10,10 @@ The starts are the given one and a scrambled Sobol sequence over the bounds. The
 by side under `vmap`, a few at a time; the cheapest of those that reach the target go on.
 """
 
-import dataclasses
 import enum
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Generic, TypeVar, overload
 
 import equinox as eqx
 import jax
@@ -23,9 +23,21 @@ from jaxtyping import Array, Float, Int
 
 from ..chain import Outcome, polish
 from ..parts import Process, Scalar, as_scalar
+from ..plan import Plan, PlanOutcome, follow
 from ..setup import Setup
 from .auglag import solve
 from .certificate import Solution, Status
+from .goals import (
+    Goal as Goal,
+    Limits as Limits,
+    PlanLimits as PlanLimits,
+    all_excesses,
+    all_misses,
+    applied,
+    excesses as excesses,
+    misses as misses,
+    setting,
+)
 from .values import Values
 
 
@@ -41,36 +53,6 @@ ROUNDS, TRIALS = 10, 10
 TOGETHER, CHEAPEST = 4, 8
 
 
-class Goal(eqx.Module):
-    """One texture parameter to reach."""
-
-    value: Scalar = eqx.field(converter=as_scalar)
-    """The target, in the unit of the parameter."""
-    tolerance: Scalar = eqx.field(converter=as_scalar)
-    """What counts as one unit of miss, in the same unit."""
-
-
-class Limits(eqx.Module):
-    """What a process must keep; None does not limit."""
-
-    time: Scalar | None = None
-    """Longest duration [s]."""
-    force: Scalar | None = None
-    """Largest force along the path [N]."""
-    least_removal: Scalar | None = None
-    """Least mean removal [mm]."""
-    most_removal: Scalar | None = None
-    """Largest mean removal [mm]."""
-    spread: Scalar | None = None
-    """Largest spread of the removal over the part [-]."""
-    unstick: bool = eqx.field(static=True, default=True)
-    """Whether the force must stay below the disc's unstick force."""
-    shear: bool = eqx.field(static=True, default=False)
-    """Whether friction must stay below the adhesive's shear strength."""
-    rigid_body: bool = eqx.field(static=True, default=True)
-    """Whether the rigid body behind the disc must stay off the part."""
-
-
 class Verdict(enum.IntEnum):
     """How a tuning ended; the values are the exit codes of the command line."""
 
@@ -79,54 +61,16 @@ class Verdict(enum.IntEnum):
     NOT_CONVERGED = 4
 
 
-def excesses(outcome: Outcome, limits: Limits) -> dict[str, Scalar]:
-    """By how much each named limit is exceeded; negative while it holds.
-
-    Units are those of the limit: s, N, mm, MPa or a share.
-
-    Args:
-        outcome: What the process does.
-        limits: What it must keep.
-    """
-    result = {}
-    if limits.time is not None:
-        result["time"] = outcome.time - limits.time
-    if limits.force is not None:
-        result["force"] = outcome.force_max - limits.force
-    if limits.least_removal is not None:
-        result["least removal"] = limits.least_removal - outcome.mean_removal
-    if limits.most_removal is not None:
-        result["most removal"] = outcome.mean_removal - limits.most_removal
-    if limits.spread is not None:
-        result["spread"] = outcome.spread - limits.spread
-    if limits.unstick:
-        result["unstick force"] = -outcome.unstick_margin
-    if limits.shear:
-        result["adhesive shear"] = -outcome.shear_margin
-    if limits.rigid_body:
-        result["rigid body"] = -outcome.body_clearance
-    return result
+Settings = TypeVar("Settings")
+Result = TypeVar("Result")
 
 
-def misses(outcome: Outcome, target: Mapping[str, Goal]) -> dict[str, Scalar]:
-    """How far each goal is missed, in units of its tolerance.
+class Tuning(eqx.Module, Generic[Settings, Result]):
+    """The answer, and what proves it: of one step, or of a plan of steps."""
 
-    Args:
-        outcome: What the process does.
-        target: Goals by the name of a texture parameter of the outcome.
-    """
-    return {
-        name: (getattr(outcome, name) - goal.value) / goal.tolerance
-        for name, goal in target.items()
-    }
-
-
-class Tuning(eqx.Module):
-    """The answer, and what proves it."""
-
-    process: Process
-    """The tuned process."""
-    outcome: Outcome
+    process: Settings
+    """The tuned process; of a plan, those of its steps."""
+    outcome: Result
     """What it does."""
     misses: dict[str, Scalar]
     """How far each goal is missed, in tolerances."""
@@ -192,10 +136,10 @@ def spread_starts(
 class _Stage(eqx.Module):
     """What the search needs to know beside the settings it moves."""
 
-    setup: Setup
-    fixed: Process
+    setup: Setup | Plan
+    fixed: Process | tuple[Process, ...]
     target: dict[str, Goal]
-    limits: Limits
+    limits: Limits | PlanLimits
     weight: Scalar
     """0 while reaching for the target, 1 while holding it at the least cost."""
     unit: Scalar
@@ -210,16 +154,17 @@ def _search(places, lower, upper, stage: _Stage, secondary, tolerance, chain) ->
     """
 
     def values(x, stage):
-        outcome = chain(dataclasses.replace(stage.fixed, **x), stage.setup)
-        missed = jnp.stack(list(misses(outcome, stage.target).values()))
+        given = applied(stage.fixed, _steps(stage.setup), x)
+        outcome = chain(given, stage.setup)
+        missed = all_misses(outcome, stage.target)
         exact = jnp.where(stage.weight > 0, 1.0, 0.0)
         return Values(
             residual=(
-                missed * (1 - exact),
+                jnp.stack(list(missed.values())) * (1 - exact),
                 stage.weight * _cost(outcome, secondary) / stage.unit,
             ),
-            inequality=excesses(outcome, stage.limits),
-            equality=missed * exact,
+            inequality=all_excesses(outcome, stage.limits),
+            equality={name: miss * exact for name, miss in missed.items()},
         )
 
     return jax.vmap(
@@ -265,37 +210,78 @@ def _put(values, where, new):
     return values
 
 
-def _cost(outcome: Outcome, secondary: str) -> Scalar:
+def _steps(setup: Setup | Plan) -> tuple[str, ...]:
+    """What the steps of a plan are called; nothing for a step alone."""
+    return setup.names if isinstance(setup, Plan) else ()
+
+
+def _cost(outcome: Outcome | PlanOutcome, secondary: str) -> Scalar:
     return outcome.force_max if secondary == "force" else outcome.time
 
 
+@overload
 def tune(
     setup: Setup,
     start: Process,
     between: Mapping[str, tuple[float, float]],
     target: Mapping[str, Goal],
-    limits: Limits | None = None,
+    limits: Limits | None = ...,
+    secondary: str = ...,
+    starts: int = ...,
+    seed: int = ...,
+    tolerance: float = ...,
+    chain: Callable[[Process, Setup], Outcome] | None = ...,
+    progress: Callable[[str], None] | None = ...,
+) -> Tuning[Process, Outcome]: ...
+
+
+@overload
+def tune(
+    setup: Plan,
+    start: Sequence[Process],
+    between: Mapping[str, tuple[float, float]],
+    target: Mapping[str, Goal],
+    limits: PlanLimits | None = ...,
+    secondary: str = ...,
+    starts: int = ...,
+    seed: int = ...,
+    tolerance: float = ...,
+    chain: Callable[[tuple[Process, ...], Plan], PlanOutcome] | None = ...,
+    progress: Callable[[str], None] | None = ...,
+) -> Tuning[tuple[Process, ...], PlanOutcome]: ...
+
+
+def tune(
+    setup: Setup | Plan,
+    start: Process | Sequence[Process],
+    between: Mapping[str, tuple[float, float]],
+    target: Mapping[str, Goal],
+    limits: Limits | PlanLimits | None = None,
     secondary: str = "time",
     starts: int = 16,
     seed: int = 0,
     tolerance: float = TOLERANCE,
-    chain: Callable[[Process, Setup], Outcome] = polish,
+    chain: Callable[..., Any] | None = None,
     progress: Callable[[str], None] | None = None,
-) -> Tuning:
+) -> Tuning[Any, Any]:
     """The process whose texture is nearest to the target while all limits hold.
 
     Args:
-        setup: The job.
-        start: The process to start from; what is not in `between` stays as it is.
+        setup: The job, or a plan of several steps.
+        start: The process to start from, or those of all steps; what is not in `between`
+            stays as it is.
         between: Lower and upper bound of each setting that is tuned, by its name in
-            `Process`, in mm, s and rad. No evaluation leaves them.
-        target: Goals by the name of a texture parameter: `{"Ssk": Goal(-0.5, 0.05)}`.
-        limits: What must be kept; None keeps the disc's own limits only.
+            `Process`, in mm, s and rad; in a plan `P600 tilt`, the step first. No
+            evaluation leaves them.
+        target: Goals by the name of a texture parameter: `{"Ssk": Goal(-0.5, 0.05)}`; in
+            a plan `P600 Ssk`, the texture after that step.
+        limits: What must be kept; None keeps the discs' own limits only.
         secondary: What to make small where the target is met: "time", "force", "none".
         starts: How many searches run side by side.
         seed: Seed of all but the first start.
         tolerance: Projected gradient at which a search ends, in tolerances of the goals.
-        chain: Another model of the process, of the same form as `polish`.
+        chain: Another model of the process, of the same form as `polish` or, for a plan,
+            `plan.follow`.
         progress: Called with a sentence as the stages go by.
 
     Returns:
@@ -304,33 +290,35 @@ def tune(
     Raises:
         ValueError: if a name or a bound makes no sense.
     """
+    steps = _steps(setup)
+    begin = start if isinstance(start, Process) else tuple(start)
+    first = {name: setting(begin, steps, name) for name in between}
     for name, (low, high) in between.items():
-        if name not in {field.name for field in dataclasses.fields(Process)}:
-            raise ValueError(f"`between` has {name!r}, which is no setting of `Process`.")
-        if not low <= float(getattr(start, name)) <= high:
+        if not low <= first[name] <= high:
             raise ValueError(
-                f"`start.{name}` is {float(getattr(start, name)):g}, must lie between its "
-                f"bounds {low:g} and {high:g}."
+                f"`start.{name}` is {first[name]:g}, must lie between its bounds {low:g} "
+                f"and {high:g}."
             )
     if secondary not in ("time", "force", "none"):
         raise ValueError(
             f"`secondary` is {secondary!r}, must be 'time', 'force' or 'none'."
         )
-    limits = Limits() if limits is None else limits
+    if limits is None:
+        limits = PlanLimits((Limits(),) * len(steps)) if steps else Limits()
+    chain = chain or (follow if steps else polish)
     say = progress or (lambda _: None)
     lower = {name: as_scalar(low) for name, (low, _) in between.items()}
     upper = {name: as_scalar(high) for name, (_, high) in between.items()}
-    first = {name: float(getattr(start, name)) for name in between}
     places = spread_starts(first, between, starts, seed)
 
-    outcome = eqx.filter_jit(chain)
-    unit = jnp.maximum(_cost(outcome(start, setup), secondary), 1e-12)
+    outcome: Callable[..., Any] = eqx.filter_jit(chain)
+    unit = jnp.maximum(_cost(outcome(begin, setup), secondary), 1e-12)
 
     # an accelerator takes all starts at once
     together = min(starts, TOGETHER if jax.default_backend() == "cpu" else starts)
 
     def search(places, weight):
-        stage = _Stage(setup, start, dict(target), limits, weight, unit)
+        stage = _Stage(setup, begin, dict(target), limits, weight, unit)
 
         def some(part):
             return _search(part, lower, upper, stage, secondary, tolerance, outcome)
@@ -339,7 +327,7 @@ def tune(
 
     def cost_at(i):
         x = {name: as_scalar(column[i]) for name, column in final.x.items()}
-        return float(_cost(outcome(dataclasses.replace(start, **x), setup), secondary))
+        return float(_cost(outcome(applied(begin, steps, x), setup), secondary))
 
     say(f"reaching for the target from {starts} starts")
     final = search(places, jnp.zeros_like(unit))
@@ -361,7 +349,7 @@ def tune(
         cheapest = np.argsort(np.where(hit, cost, np.inf))[: min(CHEAPEST, hit.sum())]
         say(f"looking for the least {secondary} from the {len(cheapest)} cheapest answers")
         held = search({n: x[cheapest] for n, x in final.x.items()}, jnp.ones_like(unit))
-        far = np.max(np.abs(held.equality), axis=1)
+        far = np.max(np.abs(list(held.equality.values())), axis=0)
         good = (held.status == Status.SOLVED) & (far <= HIT)
         work = held.evaluations + final.evaluations[cheapest]
         held = eqx.tree_at(lambda solution: solution.evaluations, held, work)
@@ -377,7 +365,7 @@ def tune(
     answer: Solution = jax.tree.map(lambda leaf: jnp.asarray(leaf[best]), final)
     final, distance, cost = jax.tree.map(jnp.asarray, (final, distance, cost))
     x = {name: as_scalar(value) for name, value in answer.x.items()}
-    process = dataclasses.replace(start, **x)
+    process = applied(begin, steps, x)
     reached = outcome(process, setup)
     if solved:
         verdict = Verdict.SOLVED
@@ -387,15 +375,15 @@ def tune(
         verdict = Verdict.INFEASIBLE
     # half the square of a cost c has the gradient c dc: divide it out again
     share = float(unit) / max(float(answer.residual[1]), 1e-12) if at_cost else 1.0
-    goal_multipliers = -answer.equality_multipliers * share
-    missed, exceeded = misses(reached, target), excesses(reached, limits)
+    held_by = answer.equality_multipliers
+    missed, exceeded = all_misses(reached, target), all_excesses(reached, limits)
     return Tuning(
         process=process,
         outcome=reached,
         misses=missed,
         excesses=exceeded,
         multipliers=jax.tree.map(lambda m: m * share, answer.inequality_multipliers),
-        goal_multipliers=dict(zip(target, goal_multipliers, strict=True)),
+        goal_multipliers={name: -held_by[name] * share for name in target},
         bound_multipliers=jax.tree.map(lambda m: m * share, answer.bound_multipliers),
         kkt=answer.kkt,
         violation=answer.violation,

@@ -1,0 +1,176 @@
+"""Goals: what a tuning moves, aims at and must keep, for one step or a plan of steps.
+
+In a plan, a setting, a goal or a limit carries the name of its step: `P600 tilt`.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+
+from ..chain import Outcome
+from ..parts import Process, Scalar, as_scalar
+from ..plan import PlanOutcome
+
+
+SETTINGS = tuple(field.name for field in dataclasses.fields(Process))
+
+
+class Goal(eqx.Module):
+    """One texture parameter to reach."""
+
+    value: Scalar = eqx.field(converter=as_scalar)
+    """The target, in the unit of the parameter."""
+    tolerance: Scalar = eqx.field(converter=as_scalar)
+    """What counts as one unit of miss, in the same unit."""
+
+
+class Limits(eqx.Module):
+    """What a process must keep; None does not limit."""
+
+    time: Scalar | None = None
+    """Longest duration [s]."""
+    force: Scalar | None = None
+    """Largest force along the path [N]."""
+    least_removal: Scalar | None = None
+    """Least mean removal [mm]."""
+    most_removal: Scalar | None = None
+    """Largest mean removal [mm]."""
+    spread: Scalar | None = None
+    """Largest spread of the removal over the part [-]."""
+    unstick: bool = eqx.field(static=True, default=True)
+    """Whether the force must stay below the disc's unstick force."""
+    shear: bool = eqx.field(static=True, default=False)
+    """Whether friction must stay below the adhesive's shear strength."""
+    rigid_body: bool = eqx.field(static=True, default=True)
+    """Whether the rigid body behind the disc must stay off the part."""
+    clears: bool = eqx.field(static=True, default=False)
+    """Whether the mean removal must reach the height Sz that the step finds."""
+
+
+def excesses(outcome: Outcome, limits: Limits) -> dict[str, Scalar]:
+    """By how much each named limit is exceeded; negative while it holds.
+
+    Units are those of the limit: s, N, mm, MPa or a share.
+
+    Args:
+        outcome: What the process does.
+        limits: What it must keep.
+    """
+    result = {}
+    if limits.time is not None:
+        result["time"] = outcome.time - limits.time
+    if limits.force is not None:
+        result["force"] = outcome.force_max - limits.force
+    if limits.least_removal is not None:
+        result["least removal"] = limits.least_removal - outcome.mean_removal
+    if limits.most_removal is not None:
+        result["most removal"] = outcome.mean_removal - limits.most_removal
+    if limits.clears:
+        result["removal over Sz before"] = outcome.Sz_before - outcome.mean_removal
+    if limits.spread is not None:
+        result["spread"] = outcome.spread - limits.spread
+    if limits.unstick:
+        result["unstick force"] = -outcome.unstick_margin
+    if limits.shear:
+        result["adhesive shear"] = -outcome.shear_margin
+    if limits.rigid_body:
+        result["rigid body"] = -outcome.body_clearance
+    return result
+
+
+def misses(outcome: Outcome, target: Mapping[str, Goal]) -> dict[str, Scalar]:
+    """How far each goal is missed, in units of its tolerance.
+
+    Args:
+        outcome: What the process does.
+        target: Goals by the name of a texture parameter of the outcome.
+    """
+    return {
+        name: (getattr(outcome, name) - goal.value) / goal.tolerance
+        for name, goal in target.items()
+    }
+
+
+class PlanLimits(eqx.Module):
+    """What each step of a plan must keep."""
+
+    steps: tuple[Limits, ...]
+    """One for each step, in their order."""
+
+
+def all_excesses(
+    outcome: Outcome | PlanOutcome, limits: Limits | PlanLimits
+) -> dict[str, Scalar]:
+    """`excesses` of a step, or of all steps of a plan under `P600 time` and the like."""
+    if isinstance(outcome, PlanOutcome):
+        assert isinstance(limits, PlanLimits)
+        steps = zip(outcome.names, outcome.steps, limits.steps, strict=True)
+        return {
+            f"{name} {limit}": value
+            for name, step, kept in steps
+            for limit, value in excesses(step, kept).items()
+        }
+    assert isinstance(limits, Limits)
+    return excesses(outcome, limits)
+
+
+def all_misses(
+    outcome: Outcome | PlanOutcome, target: Mapping[str, Goal]
+) -> dict[str, Scalar]:
+    """`misses` of a step, or of the goals `P600 Ssk` and the like of a plan."""
+    if isinstance(outcome, PlanOutcome):
+        steps = dict(zip(outcome.names, outcome.steps, strict=True))
+        found = {}
+        for name, goal in target.items():
+            step, parameter = name.rsplit(" ", 1)
+            found[name] = misses(steps[step], {parameter: goal})[parameter]
+        return found
+    return misses(outcome, target)
+
+
+def setting(process: Process | Sequence[Process], names: Sequence[str], name: str) -> float:
+    """One setting of a process, or `P600 tilt` of the processes of a plan.
+
+    Args:
+        process: The settings.
+        names: What the steps of a plan are called.
+        name: Which setting.
+
+    Raises:
+        ValueError: if there is no such step or setting.
+    """
+    if isinstance(process, Process):
+        word, one = name, process
+    else:
+        step, _, word = name.rpartition(" ")
+        if step not in names:
+            raise ValueError(
+                f"`between` has {name!r}, must be a step and a setting; the steps are "
+                f"{', '.join(names)}."
+            )
+        one = process[names.index(step)]
+    if word not in SETTINGS:
+        raise ValueError(f"`between` has {name!r}, which is no setting of `Process`.")
+    return float(getattr(one, word))
+
+
+def applied(
+    process: Process | Sequence[Process], names: Sequence[str], x: Mapping[str, Scalar]
+) -> Process | tuple[Process, ...]:
+    """The process, or the processes of a plan, with some settings replaced.
+
+    Args:
+        process: The settings.
+        names: What the steps of a plan are called.
+        x: New values, named as in `setting`.
+    """
+    if isinstance(process, Process):
+        return dataclasses.replace(process, **x)
+    split = [(*name.rpartition(" "), value) for name, value in x.items()]
+    return tuple(
+        dataclasses.replace(
+            one, **{word: value for step, _, word, value in split if step == name}
+        )
+        for name, one in zip(names, process, strict=True)
+    )
