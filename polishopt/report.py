@@ -11,8 +11,9 @@ from rich.table import Table
 
 from .chain import Outcome
 from .files.assemble import NAMES, Job
-from .files.config import Config, Loaded
+from .files.config import Loaded
 from .files.quantity import Tuned
+from .files.schema import StepConfig
 from .optimize.certificate import Status
 from .optimize.tune import Tuning, Verdict
 from .units import from_internal, label, suffix
@@ -62,7 +63,7 @@ def key_of(name: str) -> str:
     return {inner: outer for outer, inner in NAMES.items()}.get(name, name)
 
 
-def answers(tuning: Tuning, config: Config) -> dict[str, float]:
+def answers(tuning: Tuning, config: StepConfig) -> dict[str, float]:
     """The tuned settings by the keys, and in the units, of the config."""
     result = {}
     for key in config.tuned():
@@ -166,7 +167,7 @@ def empty_table(title: str, *columns: str) -> Table:
     return table
 
 
-def _settings(tuning: Tuning, config: Config) -> Table:
+def _settings(tuning: Tuning, config: StepConfig) -> Table:
     table = empty_table("Settings", "", "symbol", "unit", "start", "answer", "bounds", "")
     found = answers(tuning, config)
     for key, value in config.process:

@@ -17,9 +17,10 @@ from .chain import polish
 from .contact.pressure import patch
 from .files import assemble
 from .files.assemble import Job
-from .files.config import Config, Loaded, optimum
+from .files.config import Loaded, optimum
 from .files.document import write_text
 from .files.results import write_json, write_maps, write_sensitivity
+from .files.schema import StepConfig
 from .files.topography import Topography, write as write_topography
 from .optimize.sensitivity import OUTCOMES, sensitivities
 from .optimize.tune import Tuning, Verdict
@@ -205,7 +206,7 @@ def write_sensitivities(job: Job, process: Process, target: Path) -> None:
     )
 
 
-def texture_patch(tuning: Tuning, job: Job, config: Config):
+def texture_patch(tuning: Tuning, job: Job, config: StepConfig):
     """A drawn patch of the finished texture [mm], and its sides along y and x [mm].
 
     The grooves of this step and what is left of those of the step before, one by one, and

@@ -96,7 +96,7 @@ def begin(parser: argparse.ArgumentParser, argv: list[str] | None) -> Asked | in
         return BAD_INPUT
     if given.check:
         if not given.quiet:
-            print(describe(loaded.config, loaded.measured))
+            print(describe(loaded))
         return 0
     target = given.output or Path("runs") / given.config.stem
     if not folder(target):

@@ -562,7 +562,7 @@ def test_examples_load_and_say_which_schema_they_follow(path):
     assert isinstance(loaded, Loaded)
     assert loaded.text.startswith("# yaml-language-server: $schema=schema.json\n")
     assert loaded.config.title
-    assert "tuned in [2, 15] °, from 3" in describe(loaded.config)
+    assert "tuned in [2, 15] °, from 3" in describe(loaded)
 
 
 def test_the_manual_polishers_texture_is_the_papers():
@@ -574,7 +574,7 @@ def test_a_summary_names_everything_that_matters(tmp_path):
     text = GOOD.replace(
         "time_min: 20", "time_min: 20\n  spread_percent: 15\n  unstick: false"
     )
-    summary = describe(load(written(tmp_path, text)).config)
+    summary = describe(load(written(tmp_path, text)))
     for fragment in (
         "sphere cap, radius 100 mm, 50 x 50 mm",
         "disc_18mm, diameter 18 mm",
@@ -585,7 +585,7 @@ def test_a_summary_names_everything_that_matters(tmp_path):
         "time 20 min, rigid body, spread",
     ):
         assert fragment in summary
-    felt = load(ROOT / "configs/pessoles2009_diamond.yaml").config
+    felt = load(ROOT / "configs/pessoles2009_diamond.yaml")
     assert "unstick (this tool has no table)" in describe(felt)
 
 
@@ -684,7 +684,7 @@ def test_an_interval_is_written_as_people_do(interval):
 def test_reading_a_config_imports_neither_jax_nor_numpy():
     code = (
         "import sys; from polishopt.files.config import load, describe;"
-        f"describe(load({str(EXAMPLES[0])!r}).config);"
+        f"describe(load({str(EXAMPLES[0])!r}));"
         "print([m for m in ('jax', 'equinox', 'numpy', 'matplotlib') if m in sys.modules])"
     )
     done = subprocess.run(

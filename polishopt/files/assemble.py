@@ -4,22 +4,24 @@ The one place where both sides meet: everything in `files` before it knows no JA
 nothing behind it knows a file.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 
 from .. import setup as jobs
-from ..optimize.tune import Goal, Limits
+from ..optimize.goals import Goal, Limits, PlanLimits
 from ..parts import AXES, Abrasive, Machine, Process, Scalar, Tool, as_scalar
 from ..path.guide import hilbert, lines
 from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
+from ..plan import Plan
 from ..texture.marks import milled_marks
 from ..texture.milling import MilledSurface, milled_map
 from ..texture.scratches import Population, groove_population
-from .config import Config
 from .measured import start_map
 from .quantity import Tuned, internal
+from .schema import StepConfig
 
 
 # Settings whose key in a config is not their name in `Process` and a unit.
@@ -48,17 +50,37 @@ class Job(eqx.Module):
     """What to keep."""
 
 
-def job(config: Config) -> Job:
+class PlanJob(eqx.Module):
+    """A config with several steps, ready for `follow` and `tune`.
+
+    Settings and goals carry the name of their step: `P600 tilt`.
+    """
+
+    plan: Plan
+    """What is given."""
+    processes: tuple[Process, ...]
+    """The processes at the start of the search."""
+    between: dict[str, tuple[float, float]] = eqx.field(static=True)
+    """Bounds of what is tuned [mm, s, rad]."""
+    target: dict[str, Goal]
+    """What to reach [mm or -]."""
+    limits: PlanLimits
+    """What to keep."""
+
+
+def job(config: StepConfig, first: bool = True) -> Job:
     """The job that a config describes.
 
     Args:
         config: A checked config.
+        first: Whether it finds the start surface; a later step of a plan does not.
     """
     size = jnp.asarray(config.part.size_mm, dtype=float)
     settings = {NAMES.get(k, k): v for k, v in internal(config.process).items()}
-    first = {k: v.start if isinstance(v, Tuned) else v for k, v in settings.items()}
+    begin = {k: v.start if isinstance(v, Tuned) else v for k, v in settings.items()}
     between = {k: v.between for k, v in settings.items() if isinstance(v, Tuned)}
-    goals = {k: v for k, v in internal(config.target).items() if v is not None}
+    aims = internal(config.target) if config.target is not None else {}
+    goals = {k: v for k, v in aims.items() if v is not None}
     made = jobs.Setup(
         surface=surface(config, size),
         size=size,
@@ -66,7 +88,7 @@ def job(config: Config) -> Job:
         tool=tool(config),
         abrasive=abrasive(config.abrasive),
         machine=machine(config),
-        start=start(config),
+        start=start(config) if first else jobs.Start(),
         roughness_cutoff=internal(config.texture)["l_filter"],
         pulling=config.guide.mode == "pulling",
         lean=config.guide.lean,
@@ -78,14 +100,30 @@ def job(config: Config) -> Job:
     )
     return Job(
         setup=made,
-        process=Process(**first),
+        process=Process(**begin),
         between=between,
         target={k: Goal(v.value, v.tolerance) for k, v in goals.items()},
         limits=limits(config),
     )
 
 
-def surface(config: Config, size):
+def plan_job(steps: Sequence[tuple[str, StepConfig]]) -> PlanJob:
+    """The plan that the steps of a config describe.
+
+    Args:
+        steps: Name and checked config of each.
+    """
+    made = [(name, job(config, first=i == 0)) for i, (name, config) in enumerate(steps)]
+    return PlanJob(
+        plan=Plan(tuple(name for name, _ in made), tuple(one.setup for _, one in made)),
+        processes=tuple(one.process for _, one in made),
+        between={f"{name} {k}": v for name, one in made for k, v in one.between.items()},
+        target={f"{name} {k}": v for name, one in made for k, v in one.target.items()},
+        limits=PlanLimits(tuple(one.limits for _, one in made)),
+    )
+
+
+def surface(config: StepConfig, size):
     """The part's surface."""
     given = internal(config.part)
     kind = given.pop("surface")
@@ -98,7 +136,7 @@ def surface(config: Config, size):
     return kinds[kind](**given)
 
 
-def guide(config: Config):
+def guide(config: StepConfig):
     """The guide curve."""
     asked = config.guide
     fillet = 0.5 if asked.corner == "sharp" else asked.fillet
@@ -107,7 +145,7 @@ def guide(config: Config):
     return lines(asked.count, config.part.size_mm, asked.corner, fillet)
 
 
-def tool(config: Config) -> Tool:
+def tool(config: StepConfig) -> Tool:
     """The disc; one without an unstick table gets one that never holds it back."""
     given = internal(config.tool)
     table = given["unstick"] and internal(given["unstick"])
@@ -133,7 +171,7 @@ def abrasive(section) -> Abrasive:
     return Abrasive(**given)
 
 
-def machine(config: Config) -> Machine:
+def machine(config: StepConfig) -> Machine:
     """The machine."""
     given = internal(config.machine)
     axes = [internal(getattr(config.machine.axes, name)) for name in AXES]
@@ -146,7 +184,7 @@ def machine(config: Config) -> Machine:
     )
 
 
-def start(config: Config) -> jobs.Start:
+def start(config: StepConfig) -> jobs.Start:
     """The texture before the step."""
     asked = config.start
     if asked.file is not None:
@@ -181,7 +219,7 @@ def steady_scratches(grade: Abrasive, pressure: Scalar) -> Population:
     return groove_population(grade, pressure, LONG_AGO * grade.grain)
 
 
-def limits(config: Config) -> Limits:
+def limits(config: StepConfig) -> Limits:
     """The limits; the tool's own hold only where the tool knows them."""
     given = internal(config.limits)
     numbers = ("time", "force", "least_removal", "most_removal", "spread")
@@ -197,7 +235,7 @@ def limits(config: Config) -> Limits:
     )
 
 
-def sampling(config: Config) -> jobs.Sampling:
+def sampling(config: StepConfig) -> jobs.Sampling:
     """How finely averages are taken."""
     asked = config.sampling
     return jobs.Sampling(

@@ -9,7 +9,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 from ruamel.yaml.comments import CommentedMap
@@ -18,12 +18,9 @@ from ..units import label, suffix
 from .document import (
     ConfigError as ConfigError,
     Keys,
-    Place,
     Problem,
-    Survey,
     dump,
     parse,
-    problem,
     read_text,
     survey,
     write_text as write_text,
@@ -31,17 +28,19 @@ from .document import (
 from .given import Hilbert, Plane
 from .library import SHELVES, filled, names
 from .override import override
+from .place import Located, problems_in
 from .quantity import Tuned, internal as internal
-from .schema import Config, json_schema as json_schema
-from .sentence import did_you_mean, either, shown, typed, unknown_key, wrong_value
+from .schema import Config, StepConfig, json_schema as json_schema
+from .sentence import did_you_mean, shown, typed
+from .steps import split
 
 
 @dataclass(frozen=True)
 class Loaded:
     """A config that passed every check."""
 
-    config: Config
-    """The values, presets filled in."""
+    config: StepConfig
+    """The values, presets filled in; in a plan, those of its last step."""
     document: CommentedMap
     """The YAML document as typed, overrides written in, presets not filled in."""
     path: Path
@@ -50,94 +49,8 @@ class Loaded:
     """That file's text, without overrides."""
     measured: str = ""
     """What was measured as the start surface, and what is done to it."""
-
-
-@dataclass(frozen=True)
-class Located:
-    """A document under check: turns a path of keys into a place for an error."""
-
-    name: str
-    text: str
-    found: Survey
-    origin: dict[Keys, str]
-
-    def problem(self, keys: Keys, sentence: str, at_key: bool = False) -> Problem:
-        """A mistake under `keys`, or at the innermost section of them that was typed."""
-        ends = range(len(keys), 0, -1)
-        for end in ends:
-            if keys[:end] in self.origin:
-                return Problem(self.origin[keys[:end]], sentence)
-        for end in ends:
-            inner = keys[:end]
-            if inner not in self.found.values:
-                continue
-            first = self.found.keys if at_key and end == len(keys) else self.found.values
-            place = first.get(inner, self.found.values[inner])
-            if end < len(keys):
-                # the rest came from a preset, or is missing
-                place = self.found.values.get(
-                    (*inner, "preset"), self.found.keys.get(inner, place)
-                )
-            return problem(self.name, self.text, place, sentence)
-        return problem(self.name, self.text, Place(1, 1), sentence)
-
-
-def really(loc: tuple[Any, ...], data: Any) -> Keys:
-    """The keys of `loc` that exist in `data`: pydantic adds names of alternatives."""
-    keys: list[str | int] = []
-    for key in loc:
-        held = range(len(data)) if isinstance(data, list) else data
-        if isinstance(held, dict | range) and key in held:
-            keys.append(key)
-            data = data[key]
-    return tuple(keys)
-
-
-def problems_in(
-    error: ValidationError, data: Any, place: Located, excused: Sequence[Keys]
-) -> list[Problem]:
-    """The mistakes that pydantic found, as sentences with places.
-
-    Args:
-        error: What pydantic raised.
-        data: The values it checked, presets filled in.
-        place: Where they were typed.
-        excused: Sections whose missing keys are not worth a word.
-    """
-    result = []
-    missing: dict[Keys, list[str]] = {}
-    lacking_in: dict[Keys, dict[str, Any]] = {}
-    for one in error.errors(include_url=False):
-        keys = really(one["loc"], data)
-        if any(keys[: len(empty)] == empty for empty in place.found.empty):
-            continue  # said already: it has no value
-        last = one["loc"][-1] if one["loc"] else ""
-        if one["type"] == "missing" and isinstance(last, str):
-            missing.setdefault(keys, []).append(last)
-            lacking_in[keys] = one["input"]
-        elif one["type"] == "missing":
-            held = len(one["input"])
-            sentence = f"{shown(keys)} holds too few values, only {held}"
-            result.append(place.problem(keys, sentence))
-        elif one["type"] == "extra_forbidden":
-            sentence = unknown_key(one["loc"])
-            result.append(place.problem(keys, sentence, at_key=True))
-        elif one["type"] == "union_tag_invalid":
-            tag = (*keys, one.get("ctx", {})["discriminator"].strip("'"))
-            result.append(place.problem(tag, wrong_value(one, keys)))
-        else:
-            section = one["input"] is ... or one["type"] == "union_tag_not_found"
-            result.append(place.problem(keys, wrong_value(one, keys), at_key=section))
-    for keys, lacking in missing.items():
-        if keys in excused:
-            continue
-        what = "the key" if len(lacking) == 1 else "the keys"
-        listed = ", ".join(f"'{key}'" for key in lacking)
-        sentence = f"{shown(keys)} lacks {what} {listed}"
-        if keys in SHELVES and lacking_in[keys].get("preset") is None:
-            sentence += f"; or name a preset, {either(names(SHELVES[keys]))}"
-        result.append(place.problem(keys, sentence, at_key=True))
-    return result
+    steps: tuple[tuple[str, StepConfig], ...] = ()
+    """Name and values of each step of a plan; empty for a step alone."""
 
 
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Loaded:
@@ -162,20 +75,31 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Loaded:
         place.problem(keys, f"{shown(keys)} has no value", at_key=True)
         for keys in place.found.empty
     ]
-    for at, name in unknown:
-        known = names(SHELVES[at])
-        sentence = f"{shown(at)}: there is no preset {typed(name)}"
-        sentence += f"{did_you_mean(name, known) or ';'} there are {', '.join(known)}"
-        spelt = (*at, "preset")
-        problems.append(
-            place.problem(spelt if spelt in place.found.values else at, sentence)
-        )
-    try:
-        config = Config.model_validate(data)
-    except ValidationError as error:
-        # a section whose preset is unknown lacks its keys for that reason alone
-        problems += problems_in(error, data, place, excused=[at for at, _ in unknown])
-        raise ConfigError(problems) from None
+    problems += no_such_presets(unknown, place)
+    excused = [at for at, _ in unknown]
+    steps: list[tuple[str, StepConfig]] = []
+    config = None
+    if "steps" in data:
+        listed, wrong = split(data, place)
+        problems += wrong
+        for step in listed:
+            problems += no_such_presets(step.unknown, step.place)
+            lost = [*excused, *(at for at, _ in step.unknown)]
+            one, wrong = checked(StepConfig, step.data, step.place, lost)
+            problems += wrong
+            if one is not None:
+                steps.append((step.name, one))
+                config = one
+        if not problems and all(one.target is None for _, one in steps):
+            tuned = any(one.tuned() for _, one in steps)
+            if tuned:
+                sentence = "a plan that tunes settings needs a `target`"
+                problems.append(place.problem(("steps",), sentence, at_key=True))
+    else:
+        config, wrong = checked(Config, data, place, excused)
+        problems += wrong
+    if config is None:
+        raise ConfigError(unique(problems))
     measured = ""
     if config.start.file is not None:
         from .measured import TopographyError, sample  # brings NumPy along
@@ -186,8 +110,48 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Loaded:
         except TopographyError as error:
             problems.append(place.problem(("start", "file"), f"start.file: {error}"))
     if problems:
-        raise ConfigError(problems)
-    return Loaded(config, document, path, text, measured)
+        raise ConfigError(unique(problems))
+    return Loaded(config, document, path, text, measured, tuple(steps))
+
+
+Kind = TypeVar("Kind", bound=StepConfig)
+
+
+def checked(
+    kind: type[Kind], data: Any, place: Located, excused: Sequence[Keys]
+) -> tuple[Kind | None, list[Problem]]:
+    """The values as a config, or None and what is wrong with them.
+
+    Args:
+        kind: What they are to be.
+        data: The plain values, presets filled in.
+        place: Where they were typed.
+        excused: Sections whose missing keys are not worth a word.
+    """
+    try:
+        return kind.model_validate(data), []
+    except ValidationError as error:
+        # a section whose preset is unknown lacks its keys for that reason alone
+        return None, problems_in(error, data, place, excused)
+
+
+def no_such_presets(unknown: Sequence[tuple[Keys, Any]], place: Located) -> list[Problem]:
+    """A sentence for each preset that does not exist."""
+    problems = []
+    for at, name in unknown:
+        known = names(SHELVES[at])  # pyright: ignore[reportArgumentType]
+        sentence = f"{shown(at)}: there is no preset {typed(name)}"
+        sentence += f"{did_you_mean(name, known) or ';'} there are {', '.join(known)}"
+        spelt = (*at, "preset")
+        problems.append(
+            place.problem(spelt if spelt in place.found.values else at, sentence)
+        )
+    return problems
+
+
+def unique(problems: Sequence[Problem]) -> list[Problem]:
+    """Each problem once: what stands at the top of a plan is wrong for every step."""
+    return list(dict.fromkeys(problems))
 
 
 def root_start_file(data: Any, folder: Path) -> str:
@@ -215,20 +179,31 @@ def optimum(
 
     Args:
         loaded: The config that was solved.
-        answers: The answer by key and in the unit of the key: `{"tilt_deg": 7.5}`.
+        answers: The answer by key and in the unit of the key: `{"tilt_deg": 7.5}`; in a
+            plan by step and key, `{"P600 tilt_deg": 7.5}`.
         folder: Where the text will lie, if elsewhere: then the path of a start surface is
             written as seen from there.
 
     Raises:
         ValueError: if a key is not tuned in this config.
     """
-    tuned = loaded.config.tuned()
     document = copy.deepcopy(loaded.document)
-    for key, value in answers.items():
+    steps = loaded.steps or (("", loaded.config),)
+    for name, value in answers.items():
+        step, _, key = name.rpartition(" ")
+        index = [known for known, _ in steps].index(step)
+        tuned = steps[index][1].tuned()
         if key not in tuned:
             raise ValueError(f"`process.{key}` is not tuned in {loaded.path}.")
         low, high = tuned[key].between
-        document["process"][key]["start"] = min(max(float(f"{value:.6g}"), low), high)
+        rounded = min(max(float(f"{value:.6g}"), low), high)
+        section = document["steps"][index] if loaded.steps else document
+        if key in section.get("process", {}):
+            section["process"][key]["start"] = rounded
+        else:
+            # tuned for every step at the top, but each step has an answer of its own
+            own = section.setdefault("process", CommentedMap())
+            own[key] = CommentedMap({"start": rounded, "between": [low, high]})
     surface = loaded.config.start.file
     if folder is not None and surface is not None:
         document["start"]["file"] = seen_from(surface, folder)
@@ -243,8 +218,21 @@ def seen_from(path: str, folder: str | Path) -> str:
         return str(Path(path).absolute())
 
 
-def describe(config: Config, measured: str = "") -> str:
+def describe(loaded: Loaded) -> str:
     """A summary of a config for people: what is given, tuned, wanted and limited.
+
+    Args:
+        loaded: A checked config; of a plan, every step is summed up.
+    """
+    parts = [
+        f"step {i + 1}, {name}\n{described(config, loaded.measured if i == 0 else '')}"
+        for i, (name, config) in enumerate(loaded.steps)
+    ]
+    return "\n\n".join(parts) or described(loaded.config, loaded.measured)
+
+
+def described(config: StepConfig, measured: str = "") -> str:
+    """A summary of one step.
 
     Args:
         config: A checked config.
@@ -276,7 +264,7 @@ def describe(config: Config, measured: str = "") -> str:
     start = [key for key, value in config.start if value is not None]
     goals = [
         f"{word(key)} {goal.value:g} ± {goal.tolerance:g} {label(suffix(key))}".rstrip()
-        for key, goal in config.target
+        for key, goal in config.target or ()
         if goal is not None
     ]
     holds = {"unstick": tool.unstick or tool.shear_strength_MPa}
@@ -300,7 +288,7 @@ def describe(config: Config, measured: str = "") -> str:
         ("guide", f"{guide.family}, {density}, {guide.corner} corners, {guide.mode}"),
         *((word(key), quantity(key, value)) for key, value in config.process),
         ("start", measured or ", ".join(start)),
-        ("target", ", ".join(goals)),
+        ("target", ", ".join(goals) or "none"),
         ("limits", ", ".join(limits) or "none"),
         ("secondary", config.secondary),
     ]

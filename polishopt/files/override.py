@@ -49,11 +49,17 @@ def place_in(document: CommentedMap, path: Sequence[str], value: Any) -> tuple[K
             below = node.get(key)
             if below is None:
                 node[key] = CommentedMap()
-            elif isinstance(below, str) and tuple(keys) in SHELVES:
+            elif isinstance(below, str) and shelved(keys):
                 # a preset by its name alone makes room for keys beside it
                 node[key] = CommentedMap({"preset": below})
         node = node[keys[-1]]
     return tuple(keys), ""
+
+
+def shelved(keys: Sequence[str | int]) -> bool:
+    """Whether a preset may be named here, at the top or in a step of a plan."""
+    inner = keys[2:] if keys[0] == "steps" else keys
+    return tuple(inner) in SHELVES
 
 
 def override(document: CommentedMap, typed: Sequence[str]) -> dict[Keys, str]:

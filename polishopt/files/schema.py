@@ -15,6 +15,11 @@ from .given import Abrasive, Hilbert, Lines, Machine, Part, Section, Tool, named
 from .quantity import Between, Tuned, reject
 
 
+# sections that a step of a plan may change key by key, and those that it may replace
+MERGED = ("process", "limits")
+REPLACED = ("tool", "abrasive", "guide", "target", "texture", "sampling")
+
+
 class Texture(Section):
     """How the texture is evaluated and drawn."""
 
@@ -56,7 +61,7 @@ class Sampling(Section):
     """Most points along each side that are taken of a measured start surface."""
 
 
-class Config(Section):
+class StepConfig(Section):
     """One polishing step: what is given, what to reach, and what to keep."""
 
     version: Literal[1] = Field(alias="schema")
@@ -77,8 +82,8 @@ class Config(Section):
     """What is set on the machine, and which of it is tuned."""
     start: Start
     """The surface before this step."""
-    target: Target
-    """The texture to reach."""
+    target: Target | None = None
+    """The texture to reach; a step of a plan need not have one."""
     limits: Limits = Limits()
     """What the answer must not exceed."""
     secondary: Literal["time", "force", "none"] = "time"
@@ -114,6 +119,13 @@ class Config(Section):
         return {key: value for key, value in self.process if isinstance(value, Tuned)}
 
 
+class Config(StepConfig):
+    """A config file with one polishing step."""
+
+    target: Target  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
+    """The texture to reach."""
+
+
 def brief(node: Any) -> Any:
     """A JSON schema without made-up titles and without null for what may be left out."""
     if isinstance(node, list):
@@ -133,11 +145,42 @@ def brief(node: Any) -> Any:
 
 
 def json_schema() -> dict[str, Any]:
-    """The JSON schema of a config file, presets not yet filled in."""
+    """The JSON schema of a config file, presets not yet filled in.
+
+    In a plan keys may stand at the top or in the steps, so there it asks for less than the
+    check of the file does.
+    """
+    whole = brief(Config.model_json_schema(by_alias=True))
+    sections = whole["properties"]
+    partial = {key: f"Step{key.title()}" for key in MERGED}
+    for key, name in partial.items():
+        section = dict(whole["$defs"][key.title()])
+        section.pop("required", None)
+        whole["$defs"][name] = section
+    step = {
+        "name": {"type": "string", "description": "What the step is called."},
+        **{k: {"$ref": f"#/$defs/{name}"} for k, name in partial.items()},
+        **{k: sections[k] for k in REPLACED},
+    }
+    sections["steps"] = {
+        "description": "Several steps one after another; each says what is different.",
+        "type": "array",
+        "minItems": 1,
+        "items": {
+            "type": "object",
+            "additionalProperties": False,
+            "properties": step,
+            "required": ["name"],
+        },
+    }
+    alone = whole.pop("required")
+    shared = ["schema", "part", "machine", "start", "steps"]
+    single = {"required": alone, "not": {"required": ["steps"]}}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "polishopt config",
-        **brief(Config.model_json_schema(by_alias=True)),
+        **whole,
+        "anyOf": [single, {"required": shared}],
     }
 
 
