@@ -25,8 +25,9 @@ def main(argv: list[str] | None = None) -> int:
     asked = begin(parser, argv)
     if isinstance(asked, int):
         return asked
+    work = fit_plan if asked.loaded.steps else fit
     try:
-        return fit(asked.loaded, asked.target, asked.given.quiet)
+        return work(asked.loaded, asked.target, asked.given.quiet)
     except KeyboardInterrupt:
         print("Interrupted: nothing more is written.", file=sys.stderr)
         return 130
@@ -83,6 +84,58 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     say(f"results are in {target}")
     report.show(console, tuning, job, loaded, scatter)
     return int(tuning.verdict)
+
+
+def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
+    """The same for a config with several steps; runs it as it stands if nothing is tuned.
+
+    Args:
+        loaded: The config.
+        target: Folder for the results; exists.
+        quiet: Whether to print nothing.
+    """
+    import equinox as eqx
+    from rich.console import Console
+
+    from . import plan_report
+    from .files.assemble import plan_job
+    from .optimize.tune import tune
+    from .plan import follow
+
+    told, console = Console(stderr=True, quiet=quiet), Console(quiet=quiet)
+    began = time.monotonic()
+
+    def say(sentence: str) -> None:
+        told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {sentence}")
+
+    say(f"reading {loaded.path}")
+    if loaded.measured:
+        say(f"starting from {loaded.measured}")
+    job = plan_job(loaded.steps)
+    tuning, solver = None, loaded.config.solver
+    if job.between:
+        with told.status("searching"):
+            tuning = tune(
+                job.plan,
+                job.processes,
+                job.between,
+                job.target,
+                job.limits,
+                loaded.config.secondary,
+                solver.starts,
+                solver.seed,
+                solver.tolerance,
+                progress=say,
+            )
+        outcome = tuning.outcome
+    else:
+        with told.status(f"following {len(loaded.steps)} steps"):
+            outcome = eqx.filter_jit(follow)(job.processes, job.plan)
+    with told.status("writing"):
+        plan_report.write(target, job, outcome, loaded, tuning)
+    say(f"results are in {target}")
+    plan_report.show(console, job, outcome, loaded, tuning)
+    return plan_report.verdict(job, outcome, tuning)[0]
 
 
 def _rehearse(job) -> None:

@@ -16,6 +16,7 @@ from .files.quantity import Tuned
 from .files.schema import StepConfig
 from .optimize.certificate import Status
 from .optimize.tune import Tuning, Verdict
+from .parts import Process
 from .units import from_internal, label, suffix
 
 
@@ -34,6 +35,7 @@ LIMIT_UNITS = {
     "force": "N",
     "least removal": "um",
     "most removal": "um",
+    "removal over Sz before": "um",
     "spread": "percent",
     "unstick force": "N",
     "adhesive shear": "MPa",
@@ -63,15 +65,29 @@ def key_of(name: str) -> str:
     return {inner: outer for outer, inner in NAMES.items()}.get(name, name)
 
 
-def answers(tuning: Tuning, config: StepConfig) -> dict[str, float]:
-    """The tuned settings by the keys, and in the units, of the config."""
+def named(process: Process, config: StepConfig) -> dict[str, float]:
+    """The tuned settings of a step by the keys, and in the units, of its config."""
     result = {}
     for key in config.tuned():
         unit = suffix(key)
         word = key.removesuffix("_" + unit) if unit else key
-        value = getattr(tuning.process, NAMES.get(word, word))
+        value = getattr(process, NAMES.get(word, word))
         result[key] = from_internal(float(value), unit)
     return result
+
+
+def answers(tuning: Tuning, loaded: Loaded) -> dict[str, float]:
+    """The tuned settings by the keys, and in the units, of the config.
+
+    In a plan each carries the name of its step: `P600 tilt_deg`.
+    """
+    if not loaded.steps:
+        return named(tuning.process, loaded.config)
+    return {
+        f"{name} {key}": value
+        for (name, config), process in zip(loaded.steps, tuning.process, strict=True)
+        for key, value in named(process, config).items()
+    }
 
 
 def summary(outcome: Outcome, job: Job) -> str:
@@ -142,7 +158,7 @@ def show(
         loaded: What was asked, as typed.
         scatter: How far a measurement of the texture would scatter.
     """
-    console.print(_settings(tuning, loaded.config))
+    console.print(_settings(tuning, loaded))
     console.print(_texture(tuning, job, scatter))
     console.print(f"± is one standard error of a measured patch of {scatter.side:.2g} mm.")
     console.print(_limits(tuning, job))
@@ -167,10 +183,10 @@ def empty_table(title: str, *columns: str) -> Table:
     return table
 
 
-def _settings(tuning: Tuning, config: StepConfig) -> Table:
+def _settings(tuning: Tuning, loaded: Loaded) -> Table:
     table = empty_table("Settings", "", "symbol", "unit", "start", "answer", "bounds", "")
-    found = answers(tuning, config)
-    for key, value in config.process:
+    found = answers(tuning, loaded)
+    for key, value in loaded.config.process:
         unit = suffix(key)
         word = key.removesuffix("_" + unit) if unit else key
         symbol = SYMBOLS[NAMES.get(word, word)]

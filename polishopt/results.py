@@ -68,7 +68,7 @@ def write(
     numbers(tuning, job, loaded, target)
     write_text(
         target / "optimum.yaml",
-        optimum(loaded, report.answers(tuning, loaded.config), target),
+        optimum(loaded, report.answers(tuning, loaded), target),
     )
     process, setup = tuning.process, job.setup
     size = np.asarray(setup.size)
@@ -158,7 +158,7 @@ def numbers(tuning: Tuning, job: Job, loaded: Loaded, target: Path) -> None:
             "verdict": Verdict(int(tuning.verdict)).name.lower(),
             "sentence": report.verdict(tuning),
             "units": "mm, N, s, rad, MPa",
-            "answers": report.answers(tuning, loaded.config),
+            "answers": report.answers(tuning, loaded),
             "process": vars(tuning.process),
             "target": {k: vars(goal) for k, goal in job.target.items()},
             "outcome": outcome,

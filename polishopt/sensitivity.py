@@ -17,6 +17,10 @@ def main(argv: list[str] | None = None) -> int:
     asked = begin(parser, argv)
     if isinstance(asked, int):
         return asked
+    if asked.loaded.steps:
+        if not asked.given.quiet:
+            print("A plan has no sensitivities of its own yet: take one of its steps.")
+        return 0
     from .files.assemble import job as assemble
     from .results import write_sensitivities
 

@@ -22,7 +22,7 @@ setup mechanics chain plan resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.auglag optimize.goals optimize.tune optimize.sensitivity optimize
 files
-plots report results session fit sensitivity measure texture.__main__
+plots report results plan_report session fit sensitivity measure texture.__main__
 """
 ORDER = FLOORS.split()
 TOP = set(ORDER[ORDER.index("files") + 1 :])

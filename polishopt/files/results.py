@@ -4,11 +4,13 @@ Every file is written beside its place and then renamed, so that an interrupted 
 leaves half a file.
 """
 
+import csv
+import io
 import json
 import math
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +44,22 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """
     text = json.dumps(numbers(content), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(path, text + "\n")
+
+
+def write_table(path: Path, heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    """A CSV table.
+
+    Args:
+        path: Where to.
+        heads: Titles of the columns.
+        rows: Texts and numbers.
+    """
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(heads)
+    for row in rows:
+        table.writerow([f"{v:.9g}" if isinstance(v, float) else v for v in row])
+    write_text(path, text.getvalue())
 
 
 def write_sensitivity(path: Path, matrix: Sensitivity, units: Mapping[str, str]) -> None:
