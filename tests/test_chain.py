@@ -64,7 +64,8 @@ def watched(x, process, setup):
     return values, values
 
 
-@eqx.filter_jit
+# it runs often enough to be worth some optimisation (see conftest)
+@eqx.filter_jit(compiler_options={"xla_backend_optimization_level": 1})
 def forward(xs, process, setup):
     """Values and forward-mode Jacobians at BATCH points, nine at a time."""
 
