@@ -64,8 +64,7 @@ def watched(x, process, setup):
     return values, values
 
 
-# it runs often enough to be worth some optimisation (see conftest)
-@eqx.filter_jit(compiler_options={"xla_backend_optimization_level": 1})
+@eqx.filter_jit
 def forward(xs, process, setup):
     """Values and forward-mode Jacobians at BATCH points, nine at a time."""
 
