@@ -1,21 +1,25 @@
 """Comparisons that several tests share."""
 
 import functools
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
 
 
-# For what runs for longer than it takes to compile: the optimisation that conftest forgoes
-fast_jit = functools.partial(
-    eqx.filter_jit,
-    compiler_options={
-        "xla_backend_optimization_level": 3,
-        "xla_llvm_disable_expensive_passes": False,
-        "xla_cpu_use_fusion_emitters": True,
-    },
-)
+def fast_jit(f: Callable) -> Callable:
+    """`filter_jit` for what runs longer than it compiles: with all that conftest forgoes."""
+    jit: Any = eqx.filter_jit
+    return jit(
+        f,
+        compiler_options={
+            "xla_backend_optimization_level": 3,
+            "xla_llvm_disable_expensive_passes": False,
+            "xla_cpu_use_fusion_emitters": True,
+        },
+    )
 
 
 def assert_close(got, want, rtol=1e-9, atol=0.0):
