@@ -10,7 +10,7 @@ import numpy as np
 
 
 def fast_jit(f: Callable) -> Callable:
-    """`filter_jit` for what runs longer than it compiles: with all that conftest forgoes."""
+    """`filter_jit`, fully optimised after all: for what runs longer than it compiles."""
     jit: Any = eqx.filter_jit
     return jit(
         f,
