@@ -80,10 +80,17 @@ def test_a_folder_that_cannot_be_made_is_a_sentence(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def fitted(tmp_path_factory):
+def cache(tmp_path_factory):
+    """What one command has compiled, for the next one: empty at first."""
+    return str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory, cache):
     target = tmp_path_factory.mktemp("run")
     config = CONFIGS / "pessoles2009_plane.yaml"
-    return target, command("polishopt.fit", config, "-o", target, *SMALL)
+    ran = command("polishopt.fit", config, "-o", target, *SMALL, POLISHOPT_CACHE=cache)
+    return target, ran
 
 
 def test_fit_ends_with_an_honest_exit_code(fitted):
@@ -150,9 +157,11 @@ def test_maps_carry_units(fitted):
         assert (np.diff(time) >= 0).all()
 
 
-def test_sensitivity_command_draws_again(tmp_path):
+def test_sensitivity_command_draws_again(tmp_path, cache):
     config = CONFIGS / "pessoles2009_plane.yaml"
-    ran = command("polishopt.sensitivity", config, "-o", tmp_path, "--set=guide.order=1")
+    ran = command(
+        "polishopt.sensitivity", config, "-o", tmp_path, *SMALL, POLISHOPT_CACHE=cache
+    )
     assert ran.returncode == 0, ran.stderr
     lines = (tmp_path / "sensitivity.csv").read_text().splitlines()
     assert lines[0].startswith("outcome,setting")

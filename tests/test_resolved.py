@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import assert_close
+from helpers import assert_close, fast_jit
 from polishopt.chain import polish
 from polishopt.contact.removal import Grid
 from polishopt.files.assemble import job
@@ -70,12 +70,12 @@ def one_bend():
     return small(hilbert(1, (SIDE, SIDE)), (SIDE, SIDE), FINE)
 
 
-@eqx.filter_jit
+@fast_jit
 def one_map(process, setup, phase, count):
     return removal(run(process, setup, count, phase), process, setup, setup.grid, 8, 6)
 
 
-@eqx.filter_jit
+@fast_jit
 def many_maps(process, setup, phases, count):
     def at(phase):
         return removal(run(process, setup, count, phase), process, setup, setup.grid, 8, 6)
@@ -132,7 +132,7 @@ def test_spread_is_smooth_in_the_step_only_where_averaged():
 STRIP = Grid((10.0, 0.0), (4.0, 10.0), (64, 32))
 
 
-@eqx.filter_jit
+@fast_jit
 def strip_map(process, setup):
     # the patch needs as many nodes as the prediction has: few make a ripple of their own
     path = run(process, setup, 14 * 96 + 1, 0.3)
@@ -160,7 +160,7 @@ def test_ripple_of_a_straight_line_is_as_predicted(waves):
     assert_close(np.sqrt(square), want, rtol=0.1)
 
 
-@eqx.filter_jit
+@fast_jit
 def rms_over_phases(process, setup, grid, count, rows, columns):
     """Over evenly spaced phases, which tell the first three harmonics apart exactly."""
 

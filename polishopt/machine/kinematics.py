@@ -131,9 +131,18 @@ def _axes(
     tip: Float[Array, "3"], tilt: Scalar, turn: Scalar, machine: Machine
 ) -> Float[Array, "5"]:
     """All five axes, once the rotary ones are chosen."""
-    on_table = machine.turn_pivot + about_z(turn) @ tip
-    linear = machine.tilt_pivot + about_x(tilt) @ on_table
+    # the products with `about_z` and `about_x`, written out: far less to differentiate
+    x, y = _rotated(turn, tip[0], tip[1])
+    x, y, z = jnp.stack([x, y, tip[2]]) + machine.turn_pivot
+    y, z = _rotated(tilt, y, z)
+    linear = jnp.stack([x, y, z]) + machine.tilt_pivot
     return jnp.concatenate([linear, jnp.stack([tilt, turn])])
+
+
+def _rotated(angle: Scalar, first: Scalar, second: Scalar) -> tuple[Scalar, Scalar]:
+    """Two coordinates, turned from the first axis towards the second."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return c * first - s * second, s * first + c * second
 
 
 def _turns(angle: Float[Array, "*n"]) -> Float[Array, "*n"]:

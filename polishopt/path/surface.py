@@ -76,6 +76,24 @@ def jacobian(surface: Surface, xy: Float[Array, "2"]) -> Float[Array, "3 2"]:
     return jax.jacfwd(surface)(xy)
 
 
+def tangent_plane(
+    surface: Surface, xy: Float[Array, "2"]
+) -> tuple[Float[Array, "3"], Float[Array, "3 2"]]:
+    """Point of the part, and its `jacobian` there, from one evaluation [mm], [-].
+
+    Args:
+        surface: The part.
+        xy: Point of the parameter plane [mm].
+    """
+
+    def twice(xy):
+        point = surface(xy)
+        return point, point
+
+    columns, point = jax.jacfwd(twice, has_aux=True)(xy)
+    return point, columns
+
+
 def metric(surface: Surface, xy: Float[Array, "2"]) -> Float[Array, "2 2"]:
     r"""First fundamental form $g = J^T J$ [-]: the identity where nothing stretches.
 
@@ -94,7 +112,11 @@ def normal(surface: Surface, xy: Float[Array, "2"]) -> Float[Array, "3"]:
         surface: The part.
         xy: Point of the parameter plane [mm].
     """
-    columns = jacobian(surface, xy)
+    return upright(jacobian(surface, xy))
+
+
+def upright(columns: Float[Array, "3 2"]) -> Float[Array, "3"]:
+    """Unit normal to the two columns of a `jacobian`, out of the material [-]."""
     outward = jnp.cross(columns[:, 0], columns[:, 1])
     return outward / jnp.sqrt(jnp.sum(outward**2))
 
@@ -124,7 +146,10 @@ def tangent_to_parameter(
         f: Unit tangent of the part, the first axis [-].
         b: Unit tangent across it, the second axis [-].
     """
-    columns = jacobian(surface, xy)
+    return _to_parameter(jacobian(surface, xy), f, b)
+
+
+def _to_parameter(columns, f, b) -> Float[Array, "2 2"]:
     g = columns.T @ columns
     # a 2 x 2 inverse by hand, many times faster in a batch than a general solver
     adjugate = jnp.stack([jnp.stack([g[1, 1], -g[0, 1]]), jnp.stack([-g[1, 0], g[0, 0]])])
@@ -147,7 +172,12 @@ def curvature(
         f: Unit tangent of the part, the first axis [-].
         b: Unit tangent across it, the second axis [-].
     """
-    second = jax.jacfwd(jax.jacfwd(surface))(xy)
-    bending = jnp.tensordot(normal(surface, xy), second, axes=1)
-    to_parameter = tangent_to_parameter(surface, xy, f, b)
+
+    def twice(xy):
+        columns = jacobian(surface, xy)
+        return columns, columns
+
+    second, columns = jax.jacfwd(twice, has_aux=True)(xy)
+    bending = jnp.tensordot(upright(columns), second, axes=1)
+    to_parameter = _to_parameter(columns, f, b)
     return -to_parameter.T @ bending @ to_parameter

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from ..parts import Process, Scalar
 from .guide import Guide, GuidePoint
-from .surface import Surface, jacobian, normal as surface_normal
+from .surface import Surface, tangent_plane, upright
 from .trochoid import trochoid
 
 
@@ -77,11 +77,11 @@ def posture(
     if lean not in ("guide", "fixed"):
         raise ValueError(f"`lean` is {lean!r}, must be 'guide' or 'fixed'.")
     xy = trochoid(point, phase, process.step, process.trochoid_radius)
-    contact = surface(xy)
-    n = surface_normal(surface, xy)
+    contact, columns = tangent_plane(surface, xy)
+    n = upright(columns)
     if lean == "guide":
         tangent = jnp.stack([jnp.cos(point.heading), jnp.sin(point.heading)])
-        along = jacobian(surface, xy) @ tangent
+        along = columns @ tangent
     else:
         along = jnp.zeros_like(n).at[0].set(1) - n[0] * n
     f = along / jnp.sqrt(jnp.sum(along**2))
