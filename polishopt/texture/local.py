@@ -79,7 +79,7 @@ def between(
 
 
 def rest_maps(
-    heights: Map,
+    heights: Float[Array, "my mx"],
     spacing: Spacing,
     abrasive: Abrasive,
     removal: Map,
@@ -127,10 +127,11 @@ def rest_maps(
 
     def look(z):
         k2, k3, k4 = cumulants(transmit(z, rough))
-        seen = k2 > least
-        k2, k3, k4 = (jnp.where(seen, k, c) for k, c in ((k2, least), (k3, 0.0), (k4, 0.0)))
+        floor = least.astype(k2.dtype)
+        seen = k2 > floor
+        k2, k3, k4 = (jnp.where(seen, k, c) for k, c in ((k2, floor), (k3, 0.0), (k4, 0.0)))
         _, Ssk, Sku = parameters_from_cumulants(k2, k3, k4)
-        return jnp.stack([jnp.log(k2), Ssk, Sku])
+        return jnp.stack([jnp.log(k2), Ssk, Sku]).astype(z.dtype)
 
     def run(log_pressure):
         return planarised(
