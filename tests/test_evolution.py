@@ -19,6 +19,7 @@ from polishopt.texture.planarisation import (
     asperity_stiffness,
     pad_pressure,
     planarise,
+    planarised,
     saturation,
 )
 from polishopt.texture.scratches import (
@@ -87,11 +88,12 @@ def bend(cutoff):
     ],
 )
 def test_known_planarisation(pressure, removal, Sq, Ssk, Sku, contact):
-    z = wear(gaussian_map(), S(removal), S(pressure), S(1.0))
+    # a map of 64 x 64 normal quantiles lacks 0.7 % of the last Sku, one of 128 x 128 0.2 %
+    z = wear(gaussian_map(128), S(removal), S(pressure), S(1.0))
     p = heights_of(z)
-    assert_close(jnp.stack([p.Sq, p.Ssk, p.Sku]), [Sq, Ssk, Sku], rtol=0.03)
+    assert_close(jnp.stack([p.Sq, p.Ssk, p.Sku]), [Sq, Ssk, Sku], rtol=0.01)
     touching = press(z, S(pressure), S(1.0)) > 0
-    assert_close(jnp.mean(touching), contact, rtol=0.03)
+    assert_close(jnp.mean(touching), contact, rtol=0.01)
 
 
 def wear_ode(z, removal, pressure, stiffness, smooth):
@@ -129,10 +131,11 @@ def test_planarisation_of_a_bending_pad_agrees_with_an_ode(pressure, removal):
     want = wear_ode(np.asarray(z), removal, pressure, 1.0, bend(cutoff))
     error = [
         np.abs(wear(z, S(removal), S(pressure), S(1.0), S(cutoff), 1.0, n) - want).max()
-        for n in (16, 32, 64)
+        for n in (8, 16, 32)
     ]
     assert error[0] < 3e-2
-    assert error[2] < 0.6 * error[1] < 0.4 * error[0]  # at least of first order
+    # first order would gain 2 each time, second order gains 4
+    assert error[2] < 0.4 * error[1] < 0.2 * error[0]
 
 
 @pytest.mark.parametrize("steps", [1, 5])
@@ -191,6 +194,32 @@ def test_long_polishing_stays_finite():
     assert_close(bent + 1e4, 0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("conformity", [None, 5.0])
+def test_a_stiff_pad_only_ever_takes_away(conformity):
+    """From the first touch to r h = 1e4, in steps that grow a hundredthousandfold."""
+    z, removals = wavy_map(), S(np.concatenate([[0.0], np.geomspace(1e-4, 10.0, 40)]))
+
+    @jax.jit
+    def course(z):
+        return planarised(z, removals, S(1e-3), S(1.0), lambda z: z, conformity, 1.0)
+
+    seen = np.asarray(course(z))
+    assert np.isfinite(seen).all()
+    assert_close(seen[0], z)
+    assert (np.diff(seen, axis=0) <= 0).all()
+    assert_close(np.mean(seen, axis=(1, 2)), np.mean(z) - removals, rtol=1e-9, atol=1e-12)
+    lost = np.diff(seen.std(axis=(1, 2)))
+    assert (lost < 1e-12).all()
+    if conformity is None:
+        # what the pad has not reached yet is as it was, to the last bit
+        for level in seen[1:-10]:
+            kept = level == z
+            assert level[kept].max() < level[~kept].min()
+        shares = (seen == np.asarray(z)).mean(axis=(1, 2))
+        assert (np.diff(shares) <= 0).all()
+        assert 0.3 < shares[30] < 0.98
+
+
 def test_infinite_conformity_is_a_flat_pad():
     z = wavy_map()
     flat = wear(z, S(0.3), S(0.1), S(1.0))
@@ -243,23 +272,24 @@ def test_gradients_of_wear(bending):
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-@pytest.mark.parametrize("conformity", [None, 5.0, jnp.inf])
-def test_gradients_of_wear_are_finite_in_every_corner(conformity, dtype):
+@pytest.mark.parametrize("conformities", [(None,), (5.0, jnp.inf)], ids=["flat", "bent"])
+def test_gradients_of_wear_are_finite_in_every_corner(conformities, dtype):
     def f(z, removal, pressure, stiffness, conformity):
         after = wear(z, removal, pressure, stiffness, conformity, 1.0, 3)
         p = heights_of(after)
         return jnp.stack([p.Sq, p.Ssk, p.Sku, jnp.mean(after)])
 
-    fixed = None if conformity is None else jnp.asarray(conformity, dtype)
-    wanted = (0, 1, 2, 3) if fixed is None else (0, 1, 2, 3, 4)
+    wanted = (0, 1, 2, 3) if None in conformities else (0, 1, 2, 3, 4)
     derivative = jax.jit(jax.jacrev(f, wanted))
     maps = wavy_map(8), jnp.zeros((8, 8)), jnp.ones((8, 8))
     corners = [(0.0, 0.2), (0.3, 0.0), (0.0, 0.0), (1e4, 1.0)]
-    for removal, pressure in [*corners, (0.3, 1e-12), (1e-12, 0.1), (0.3, 50.0)]:
-        for start in maps:
-            z, h, p, k = (x.astype(dtype) for x in (start, S(removal), S(pressure), S(1.0)))
-            for entry in derivative(z, h, p, k, fixed):
-                assert np.isfinite(entry).all(), (removal, pressure)
+    for conformity in conformities:
+        fixed = None if conformity is None else jnp.asarray(conformity, dtype)
+        for removal, pressure in [*corners, (0.3, 1e-12), (1e-12, 0.1), (0.3, 50.0)]:
+            for start in maps:
+                given = (x.astype(dtype) for x in (start, S(removal), S(pressure), S(1.0)))
+                for entry in derivative(*given, fixed):
+                    assert np.isfinite(entry).all(), (conformity, removal, pressure)
 
 
 def test_saturation():
@@ -455,9 +485,8 @@ def patch_moments(keys, part, pressure, removal, extent, waves):
     return jax.lax.map(draw, keys, batch_size=100)
 
 
-@pytest.mark.parametrize("variation", [0.0, 0.5])
-def test_patches_agree_with_the_cumulants(variation):
-    part, pressure = abrasive(depth_variation=variation), S(0.05)
+def test_patches_with_ripple_agree_with_the_cumulants():
+    part, pressure = abrasive(depth_variation=0.5), S(0.05)
     depth, worn = groove_depth(part, pressure), compression(part, pressure)
     removal, extent = 1.5 * worn, jnp.stack([60.0, 80.0]) * depth
     waves = (jnp.stack([0.4 * depth]), jnp.stack([7.3 * depth]))

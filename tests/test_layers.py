@@ -17,7 +17,8 @@ contact.pressure contact.removal contact.ripple contact
 texture.filters texture.areal texture.hybrid texture.lay texture.spatial texture.functional
 texture.feature texture.uncertainty texture.parameters
 texture.milling texture.cutter texture.cutting texture.marks
-texture.planarisation texture.scratches texture.evolution texture
+texture.planarisation texture.scratches texture.evolution texture.direction
+texture.local texture
 setup mechanics chain plan resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.auglag optimize.goals optimize.tune optimize.sensitivity optimize

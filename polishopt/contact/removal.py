@@ -100,6 +100,32 @@ class Grid(eqx.Module):
         return (points - self.origin[None, :]) / self.spacing[None, :] - 0.5
 
 
+def sliding(
+    patch: Patch,
+    tilt: Scalar,
+    spin: Scalar,
+    velocity: Float[Array, "2"],
+    lean: float = 1.0,
+) -> Float[Array, "3 rows columns"]:
+    r"""Velocity of each node of the disc over the part along (feed, left, up) [mm/s].
+
+    $\omega\times r + v_f$; the disc turns counter-clockwise seen from the spindle.
+
+    Args:
+        patch: Positions.
+        tilt: Tilt of the disc [rad].
+        spin: Spindle speed, $\omega$ [rad/s].
+        velocity: Velocity of the contact point along (feed, left), $v_f$ [mm/s].
+        lean: +1 pulling, -1 pushing, as in `patch`.
+
+    Source: S0 (Pessoles & Tournier 2009) section 3.
+    """
+    towards, beside = patch.arms[..., 0], patch.arms[..., 1]
+    along = -spin * beside * jnp.cos(tilt) + velocity[0]
+    across = lean * spin * towards + velocity[1]
+    return jnp.stack([along, across, spin * beside * jnp.sin(tilt)])
+
+
 def preston_rates(
     patch: Patch,
     preston: Scalar,
@@ -110,9 +136,8 @@ def preston_rates(
 ) -> Float[Array, "rows columns"]:
     r"""Volume that each node of a contact patch removes per time [mm^3/s].
 
-    $\dot h = K_P\,p\,|\omega\times r + v_f|$ times the node's area. The disc turns
-    counter-clockwise seen from the spindle. At a standstill the rate is 0, with a
-    gradient of 0.
+    $\dot h = K_P\,p\,|\omega\times r + v_f|$ times the node's area. At a standstill the
+    rate is 0, with a gradient of 0.
 
     Args:
         patch: Pressures and positions.
@@ -124,10 +149,7 @@ def preston_rates(
 
     Source: S0 (Pessoles & Tournier 2009) eq. (2), with K_P in 1/pressure.
     """
-    towards, beside = patch.arms[..., 0], patch.arms[..., 1]
-    along = -spin * beside * jnp.cos(tilt) + velocity[0]
-    across = lean * spin * towards + velocity[1]
-    upward = spin * beside * jnp.sin(tilt)
+    along, across, upward = sliding(patch, tilt, spin, velocity, lean)
     square = along**2 + across**2 + upward**2
     moving = square > 0
     speed = jnp.where(moving, jnp.sqrt(jnp.where(moving, square, 1.0)), 0.0)

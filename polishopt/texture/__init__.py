@@ -23,6 +23,7 @@ from .cutting import (
     removed_volume as removed_volume,
     topography as topography,
 )
+from .direction import slid_directions as slid_directions
 from .evolution import (
     Texture as Texture,
     combine as combine,
@@ -51,6 +52,12 @@ from .lay import (
     angular_spectrum as angular_spectrum,
     texture_direction as texture_direction,
 )
+from .local import (
+    rest_maps as rest_maps,
+    scratch_maps as scratch_maps,
+    texture_maps as texture_maps,
+    worst_deviation as worst_deviation,
+)
 from .marks import milled_marks as milled_marks
 from .milling import (
     MilledSurface as MilledSurface,
@@ -73,14 +80,19 @@ from .planarisation import (
     asperity_stiffness as asperity_stiffness,
     pad_pressure as pad_pressure,
     planarise as planarise,
+    planarised as planarised,
 )
 from .scratches import (
+    Population as Population,
     Scratches as Scratches,
     compression as compression,
     decay as decay,
     decay_rate as decay_rate,
     groove_cumulants as groove_cumulants,
     groove_depth as groove_depth,
+    groove_population as groove_population,
+    groove_width as groove_width,
+    survival as survival,
 )
 from .spatial import (
     SpatialParameters as SpatialParameters,

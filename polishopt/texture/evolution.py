@@ -5,7 +5,9 @@ the ripple of the tool path do not know of each other, so their cumulants add. A
 patch makes the same sum with actual grooves and waves, to look at and to check by.
 """
 
+import functools
 import math
+import operator
 
 import equinox as eqx
 import jax
@@ -17,7 +19,7 @@ from ..parts import Abrasive, Scalar
 from .areal import Cumulants, Sa_estimate, parameters_from_cumulants
 from .filters import gaussian_transmission
 from .planarisation import decay_exponent
-from .scratches import PARABOLA, compression, groove_depth
+from .scratches import PARABOLA, Population, compression, groove_depth
 
 
 class Texture(eqx.Module):
@@ -54,17 +56,17 @@ def ripple_cumulants(
     return Cumulants(k2, jnp.zeros_like(k2), -0.375 * jnp.sum(square**2))
 
 
-def combine(*parts: Cumulants) -> Texture:
+def combine(*parts: Cumulants | Population) -> Texture:
     r"""Texture of a surface that is the sum of independent parts.
 
     $m_2 = \sum\kappa_2$, $m_3 = \sum\kappa_3$, $m_4 = \sum\kappa_4 + 3m_2^2$. With no
     height at all, Ssk = 0 and Sku = 3.
 
     Args:
-        parts: Cumulants of each part.
+        parts: Cumulants of each part; the width of scratches does not matter.
     """
-    total = jax.tree.map(lambda *k: sum(k[1:], k[0]), *parts)
-    Sq, Ssk, Sku = parameters_from_cumulants(*total)
+    sums = [functools.reduce(operator.add, k) for k in zip(*parts, strict=True)]
+    Sq, Ssk, Sku = parameters_from_cumulants(*sums)
     return Texture(Sa_estimate(Sq, Ssk, Sku), Sq, Ssk, Sku)
 
 
@@ -88,11 +90,12 @@ def draw_patch(
     amplitudes: Float[Array, " n"] | None = None,
     wavelengths: Float[Array, " n"] | None = None,
     start: Float[Array, "ny nx"] | None = None,
+    directions: Float[Array, " bins"] | None = None,
 ) -> Float[Array, "ny nx"]:
     r"""A drawn height map of a polished surface [mm].
 
-    Grooves are straight lines across the patch, with every direction and offset equally
-    likely, each worn down by $e^{-a/A}$ while $a$ was removed since. A point finds
+    Grooves are straight lines across the patch, with every offset equally likely, each
+    worn down by $e^{-a/A}$ while $a$ was removed since. A point finds
     $\lambda$ lines per unit of distance from it and of removal, with
     $\lambda\,\frac43 E[wD] = 1$ and $w = D\tan\psi$, so a disc of radius $\varrho$ around
     the patch is met by $2\varrho\lambda$ per unit removal. The latest `grooves` are drawn;
@@ -110,6 +113,8 @@ def draw_patch(
         amplitudes: Amplitudes of the ripple's waves [mm]; each runs in a random direction.
         wavelengths: Their lengths [mm].
         start: What is left of the start topography, on the same points [mm].
+        directions: Share of the grooves in each of equal intervals of direction, from x
+            towards y, over [0, pi), see `direction.slid_directions`; None if all are alike.
     """
     key_groove, key_wave = jr.split(key)
     wear = compression(abrasive, pressure)
@@ -117,7 +122,9 @@ def draw_patch(
     x = (jnp.arange(shape[1], dtype=extent.dtype) + 0.5) / shape[1] - 0.5
     y, x = (y * extent[0])[:, None], (x * extent[1])[None, :]
 
-    drawn = _draw_grooves(key_groove, abrasive, pressure, removal, extent, grooves)
+    drawn = _draw_grooves(
+        key_groove, abrasive, pressure, removal, extent, grooves, directions
+    )
 
     def cut(z, groove: _Grooves):
         distance = x * jnp.cos(groove.angle) + y * jnp.sin(groove.angle) - groove.offset
@@ -146,6 +153,7 @@ def _draw_grooves(
     removal: Scalar,
     extent: Float[Array, "2"],
     count: int,
+    directions: Float[Array, " bins"] | None,
 ) -> _Grooves:
     """The latest `count` grooves on a patch; those older than the step have no depth."""
     keys = jr.split(key, 4)
@@ -159,9 +167,25 @@ def _draw_grooves(
     radius = jnp.linalg.norm(extent) / 2.0 + jnp.max(width)
     age = jnp.cumsum(jr.exponential(keys[1], (count,))) * section / (2.0 * radius)
     worn = jnp.exp(-age / compression(abrasive, pressure))
+    chance = jr.uniform(keys[2], (count,))
+    if directions is not None:
+        # the normal that an offset is measured along is a right angle from the groove
+        chance = _quantile(directions, chance) - 0.5
     return _Grooves(
-        angle=jr.uniform(keys[2], (count,), maxval=math.pi),
+        angle=math.pi * chance,
         offset=jr.uniform(keys[3], (count,), minval=-1.0, maxval=1.0) * radius,
         depth=jnp.where(age < removal, depth * worn, 0.0),
         width=width,
     )
+
+
+def _quantile(
+    weights: Float[Array, " bins"], chance: Float[Array, " n"]
+) -> Float[Array, " n"]:
+    """Where in [0, 1] a variable of given weights in equal intervals has these chances."""
+    sums = jnp.concatenate([jnp.zeros(1, weights.dtype), jnp.cumsum(weights)])
+    chance = chance * sums[-1]
+    bin = jnp.clip(jnp.searchsorted(sums, chance, side="right") - 1, 0, weights.size - 1)
+    inside = weights[bin] > 0
+    part = (chance - sums[bin]) / jnp.where(inside, weights[bin], 1.0)
+    return (bin.astype(weights.dtype) + jnp.clip(part, 0.0, 1.0)) / weights.size

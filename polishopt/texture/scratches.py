@@ -230,8 +230,9 @@ def decay(
         rate: Decay of heights per unit removal in full contact, $r$ [1/mm].
         conformity: Wavelength that the pad follows by half, $\ell_c$ [mm].
     """
-    known = isinstance(scratches, Population)
-    width = scratches.width if known else 0.0
+    width = scratches.width if isinstance(scratches, Population) else 0.0
     left = survival(removal, rate, width, conformity)
     k2, k3, k4 = (k * left**n for n, k in zip((2, 3, 4), scratches, strict=True))
-    return Population(k2, k3, k4, width) if known else Cumulants(k2, k3, k4)
+    if isinstance(scratches, Population):
+        return Population(k2, k3, k4, scratches.width)
+    return Cumulants(k2, k3, k4)
