@@ -328,10 +328,11 @@ def evolved(
 
 def _ripple(process: Process, setup: Setup, path: Stations) -> Ripple:
     """Ripple of the removal, from the mean curvature and the mean loop of the path."""
+    gain = setup.abrasive.ripple_gain
     share = path.weight / jnp.sum(path.weight)
     bend = jnp.einsum("k,kab->ab", share, path.curvature)
     square = jnp.sum(share[:, None] * path.pace**2) / path.pace.shape[1]
-    return ripple(
+    waves = ripple(
         process,
         setup.tool,
         process.passes * setup.abrasive.preston,
@@ -341,6 +342,7 @@ def _ripple(process: Process, setup: Setup, path: Stations) -> Ripple:
         process.passes * jnp.sum(path.volumes) / jnp.sum(path.dwell),
         setup.side,
     )
+    return eqx.tree_at(lambda w: w.variances, waves, gain**2 * waves.variances)
 
 
 def _ratio(variance: Scalar, mean: Scalar) -> Scalar:

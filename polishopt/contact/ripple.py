@@ -31,7 +31,7 @@ from jaxtyping import Array, Float
 
 from ..parts import Process, Scalar, Tool
 from ..path.guide import Bends
-from .pressure import envelope
+from .pressure import bed_pressure, envelope
 
 
 HARMONICS = 3
@@ -98,7 +98,7 @@ def ripple(
 
     Args:
         process: Tilt, displacement, step, trochoid radius and spindle speed are read.
-        tool: Radius and foundation are read.
+        tool: Radius, foundation and stiffening are read.
         preston: Preston coefficient, $K_P$ [1/MPa].
         bends: How the guide bends, and which way it runs from the lean of the axis.
         curvature: Normal curvature of the part along (feed, left), convex positive [1/mm].
@@ -134,7 +134,8 @@ def ripple(
         d = jnp.stack([-lean * level * x, sign * radius * beside], axis=-1)
         sunk = jnp.einsum("...a,ab,...b->...", d, curvature, d)
         depth = process.displacement - slope * x - 0.5 * sunk
-        return tool.foundation * jnp.maximum(depth, 0.0) * preston * process.spin * radius
+        pressure = bed_pressure(tool.foundation, tool.stiffening, depth)
+        return pressure * preston * process.spin * radius
 
     edge = 2 * jnp.pi * rim_radius * (rate(1.0) ** 2 + rate(-1.0) ** 2)
     edge = edge[:, None, :] / k**3

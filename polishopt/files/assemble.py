@@ -120,6 +120,7 @@ def tool(config: Config) -> Tool:
         unstick_forces=table["force"] if table else [jnp.inf],
         friction=given["friction"],
         shear_strength=jnp.inf if shear is None else shear,
+        stiffening=given["stiffening"],
     )
 
 
