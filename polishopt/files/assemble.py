@@ -4,10 +4,14 @@ The one place where both sides meet: everything in `files` before it knows no JA
 nothing behind it knows a file.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 
 from .. import setup as jobs
+from ..optimize.calibrate import Data
+from ..optimize.runs import followed, roughness_cumulants
 from ..optimize.tune import Goal, Limits
 from ..parts import AXES, Abrasive, Machine, Process, Scalar, Tool, as_scalar
 from ..path.guide import hilbert, lines
@@ -18,6 +22,7 @@ from ..texture.milling import MilledSurface, milled_map
 from ..texture.scratches import Scratches, groove_cumulants
 from .config import Config
 from .measured import start_map
+from .measurements import Measurements
 from .quantity import Tuned, internal
 
 
@@ -161,10 +166,8 @@ def start(config: Config) -> jobs.Start:
         scratches = steady_scratches(grade, pressure)
     elif asked.roughness is not None:
         rough = internal(asked.roughness)
-        square = as_scalar(rough["Sq"]) ** 2
-        scratches = Cumulants(
-            square, rough["Ssk"] * square**1.5, (rough["Sku"] - 3.0) * square**2
-        )
+        known = (as_scalar(rough[name]) for name in ("Sq", "Ssk", "Sku"))
+        scratches = roughness_cumulants(*known)
     if asked.milled is None:
         return jobs.Start(scratches=scratches)
     given = internal(asked.milled)
@@ -206,4 +209,43 @@ def sampling(config: Config) -> jobs.Sampling:
         columns=asked.columns,
         pixels=(asked.grid, asked.grid),
         planarisation=asked.planarisation,
+    )
+
+
+def data(given: Measurements, made: Job) -> Data:
+    """Measurements as the arrays that `calibrate` takes; every run is followed here.
+
+    Args:
+        given: Measurements at settings of this job.
+        made: The job, for what a row does not say.
+    """
+
+    def column(rows, name: str):
+        cells = [row.get(name) for row in rows]
+        return jnp.asarray([jnp.nan if cell is None else cell for cell in cells], float)
+
+    def several(rows, name: str):
+        usual = getattr(made.process, name)
+        typed = column(rows, {v: k for k, v in NAMES.items()}.get(name, name))
+        return jnp.where(jnp.isnan(typed), usual, typed)
+
+    forces, runs = given.forces, given.runs
+    followed_runs = None
+    if runs:
+        fields = [field.name for field in dataclasses.fields(Process)]
+        processes = Process(**{name: several(runs, name) for name in fields})
+        before = roughness_cumulants(
+            *(column(runs, f"start_{name}") for name in ("Sq", "Ssk", "Sku"))
+        )
+        followed_runs = followed(processes, before, made.setup)
+    tables = {"force": forces} | dict.fromkeys(("removal", "Sa", "Sq", "Ssk", "Sku"), runs)
+    held = {name: rows for name, rows in tables.items() if any(name in r for r in rows)}
+    measured = {name: column(rows, name) for name, rows in held.items()}
+    errors = {name: column(rows, f"{name}_error") for name, rows in held.items()}
+    return Data(
+        tilt=column(forces, "tilt"),
+        displacement=column(forces, "displacement"),
+        runs=followed_runs,
+        measured={k: v for k, v in measured.items() if jnp.isfinite(v).any()},
+        errors={k: v for k, v in errors.items() if jnp.isfinite(v).any()},
     )

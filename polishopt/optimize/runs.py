@@ -1,0 +1,162 @@
+r"""Runs: what the constants of tool and abrasive make of a polishing run.
+
+Path, feed and contact patch of a run do not depend on the constants: pressure is
+$k(P_0 + \beta P_1)$ and removal $K_P k(M_0 + \beta M_1)$. So a run is followed along its
+path once, and what any other constants would have made of it costs next to nothing.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..chain import along, evolved
+from ..contact.ripple import ripple
+from ..parts import Process, Scalar
+from ..path.surface import area_stretch
+from ..setup import Setup
+from ..texture.areal import Cumulants
+from ..texture.evolution import Texture, combine
+from ..texture.filters import gaussian_transmission
+from ..texture.scratches import Scratches
+
+
+class Run(eqx.Module):
+    """A run with $k$ and $K_P$ taken out: coefficients of 1 and of $\\beta$."""
+
+    process: Process
+    """The settings."""
+    before: Scratches
+    """Texture measured before the run, as cumulants; NaN for that of the setup."""
+    pressure: Float[Array, "*n 2"]
+    """Mean contact pressure over k [mm, mm^2]."""
+    kept: Float[Array, "*n 2"]
+    """Volume that one pass removes from the part, over k and K_P [mm^4, mm^5]."""
+    total: Float[Array, "*n 2"]
+    """Volume with what it would remove beside the part, over k and K_P [mm^4, mm^5]."""
+    dwell: Float[Array, "*n"]
+    """Time of one pass [s]."""
+    pace: Float[Array, "*n"]
+    """Time per length of guide, rms over loop and path [s/mm]."""
+    bend: Float[Array, "*n 2 2"]
+    """Mean curvature of the part in the frame (feed, left) [1/mm]."""
+
+
+class Finished(eqx.Module):
+    """What a run leaves."""
+
+    removal: Float[Array, "*n"]
+    """Mean depth removed [mm]."""
+    Sa: Float[Array, "*n"]
+    """Mean height, estimated [mm]."""
+    Sq: Float[Array, "*n"]
+    """Root mean square height [mm]."""
+    Ssk: Float[Array, "*n"]
+    """Skewness [-]."""
+    Sku: Float[Array, "*n"]
+    """Kurtosis [-]."""
+
+
+def roughness_cumulants(
+    Sq: Float[Array, "*n"], Ssk: Float[Array, "*n"], Sku: Float[Array, "*n"]
+) -> Scratches:
+    """The cumulants of a roughness of which Sq [mm], Ssk and Sku are known."""
+    return Cumulants(Sq**2, Ssk * Sq**3, (Sku - 3.0) * Sq**4)
+
+
+@eqx.filter_jit
+def followed(processes: Process, before: Scratches, setup: Setup) -> Run:
+    """Runs, followed along their paths once.
+
+    Args:
+        processes: The settings of each run, stacked.
+        before: Cumulants of the texture before each run; NaN for that of the setup.
+        setup: The job. Its foundation, stiffening and Preston coefficient do not matter.
+    """
+
+    def coefficients(process: Process, stiffening: Scalar):
+        one = jnp.ones_like(stiffening)
+        tool = dataclasses.replace(setup.tool, foundation=one, stiffening=stiffening)
+        abrasive = dataclasses.replace(setup.abrasive, preston=one)
+        path = along(process, dataclasses.replace(setup, tool=tool, abrasive=abrasive))
+        dwell = jnp.sum(path.dwell)
+        share = jnp.sum(path.dwell, axis=1) / dwell
+        area = jnp.sum(share * path.area)
+        force = jnp.sum(share * path.force)
+        pressure = jnp.where(area > 0, force / jnp.where(area > 0, area, 1.0), 0.0)
+        weight = path.weight / jnp.sum(path.weight)
+        square = jnp.sum(weight[:, None] * path.pace**2) / path.pace.shape[1]
+        bend = jnp.einsum("k,kab->ab", weight, path.curvature)
+        scaled = (pressure, jnp.sum(path.kept), jnp.sum(path.volumes))
+        return scaled, (dwell, jnp.sqrt(square), bend)
+
+    def follow(given):
+        process, before = given
+        plain = jnp.asarray([0.0, 1.0], dtype=process.tilt.dtype)
+        scaled, same = jax.vmap(coefficients, in_axes=(None, 0))(process, plain)
+        # both ends of a straight line: its value at 0, and its slope
+        lines = [jnp.stack([y[0], y[1] - y[0]]) for y in scaled]
+        return Run(process, before, *lines, *(y[0] for y in same))
+
+    return jax.lax.map(follow, (processes, before))
+
+
+def part_area(setup: Setup) -> Scalar:
+    """Area of the part [mm^2], by the pixels of its removal map."""
+    grid = setup.grid
+    pixels = jnp.stack(jnp.meshgrid(grid.x, grid.y), axis=-1).reshape(-1, 2)
+    stretch = jax.vmap(lambda xy: area_stretch(setup.surface, xy))(pixels)
+    return jnp.sum(stretch) * grid.pixel_area
+
+
+def finished(runs: Run, setup: Setup) -> Finished:
+    """What runs leave, with the constants of a setup.
+
+    Agrees with `polish`, run by run.
+
+    Args:
+        runs: Runs of this job, stacked, from `followed`.
+        setup: The job with any constants of tool and abrasive, and any start.
+    """
+    tool, abrasive = setup.tool, setup.abrasive
+    bed = tool.foundation * jnp.stack([jnp.ones_like(tool.stiffening), tool.stiffening])
+    area = part_area(setup)
+    bends = setup.guide.bends() if setup.lean == "guide" else setup.guide.compass()
+
+    def finish(run: Run) -> Finished:
+        passes = run.process.passes
+        pressure, kept = run.pressure @ bed, abrasive.preston * (run.kept @ bed)
+        total = abrasive.preston * (run.total @ bed)
+        removal = passes * kept / area
+        waves = ripple(
+            run.process,
+            tool,
+            passes * abrasive.preston,
+            bends,
+            run.bend,
+            run.pace,
+            passes * total / run.dwell,
+            setup.side,
+        )
+        waves = eqx.tree_at(
+            lambda w: w.variances, waves, abrasive.ripple_gain**2 * waves.variances
+        )
+        inside = jnp.where(total > 0, kept / jnp.where(total > 0, total, 1.0), 0.0)
+        density = setup.guide.length / area * inside
+        passed = 1 - gaussian_transmission(waves.wavelengths, setup.roughness_cutoff)
+        second, fourth = waves.moments(density, passed)
+        rippled = Cumulants(second, jnp.zeros_like(second), fourth)
+        start = jax.tree.map(
+            lambda known, given: jnp.where(jnp.isnan(known), given, known),
+            run.before,
+            setup.start.scratches,
+        )
+        begun = dataclasses.replace(
+            setup, start=dataclasses.replace(setup.start, scratches=start)
+        )
+        texture: Texture = combine(*evolved(begun, pressure, removal), rippled)
+        return Finished(removal, texture.Sa, texture.Sq, texture.Ssk, texture.Sku)
+
+    return jax.vmap(finish)(runs)
