@@ -20,9 +20,10 @@ texture.milling texture.cutter texture.cutting texture.marks
 texture.planarisation texture.scratches texture.evolution texture
 setup chain resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
-optimize.auglag optimize.tune optimize.sensitivity optimize
+optimize.auglag optimize.tune optimize.sensitivity
+optimize.runs optimize.calibrate optimize.identify optimize
 files
-plots report results session fit sensitivity measure texture.__main__
+plots report results session fit sensitivity measure calibrate texture.__main__
 """
 ORDER = FLOORS.split()
 TOP = set(ORDER[ORDER.index("files") + 1 :])

@@ -61,9 +61,9 @@ HELD = (
     "abrasive.grain",
     "abrasive.depth_variation",
 )
-# measurement: its scatter before anything is known of it, relative or as it is
-SCATTER = {"force": 0.05, "removal": 0.05, "Sa": 0.05, "Sq": 0.05, "Ssk": 0.1, "Sku": 0.1}
-PLAIN = ("Ssk", "Sku")
+# measurement: its relative scatter before anything is known of it; that of Ssk is
+# relative to (1 + Ssk^2)^(1/2)
+SCATTER = {"force": 0.05, "removal": 0.05, "Sa": 0.05, "Sq": 0.05, "Ssk": 0.1, "Sku": 0.05}
 # Places from which the constants are searched for: a texture may have come about in more
 # than one way. Then scatter and constants are estimated in turn, so many times.
 STARTS, ROUNDS = 6, 8
@@ -114,7 +114,7 @@ class Calibration(eqx.Module):
     `names` and `held` (by the constant itself where it may be negative)."""
     scatter: dict[str, Scalar]
     """Each measurement's scatter around the model: over its errors where they are given;
-    else relative, or as it is for Ssk and Sku [-]."""
+    else relative, that of Ssk to (1 + Ssk^2)^(1/2) [-]."""
     scatter_freedom: dict[str, Scalar]
     """Degrees of freedom that each of these rests on."""
     predicted: dict[str, Float[Array, " _"]]
@@ -247,13 +247,13 @@ def misses(data: Data, predicted: dict, scatter: dict) -> dict:
         there = jnp.isfinite(measured)
         safe = jnp.where(there, measured, 1.0)
         error = data.errors.get(name)
-        unit = scatter.get(name) if error is None else jnp.where(there, error, 1.0)
-        if name in PLAIN:
-            miss = (safe - predicted[name]) / unit
+        size = jnp.sqrt(1.0 + safe**2) if name == "Ssk" else safe
+        unit = scatter.get(name) if error is None else jnp.where(there, error, 1.0) / size
+        if name == "Ssk":
+            miss = (safe - predicted[name]) / (unit * size)
         else:
             # the model may predict nothing at all, which has no logarithm
             given = jnp.maximum(predicted[name], 1e-12 * safe)
-            unit = unit if error is None else unit / safe
             miss = jnp.log(safe / given) / unit
         result[name] = jnp.where(there, miss, 0.0)
     return result

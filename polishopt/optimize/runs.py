@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..chain import along, evolved
-from ..contact.ripple import ripple
+from ..contact.ripple import Rims, rims, waves
 from ..parts import Process, Scalar
 from ..path.surface import area_stretch
 from ..setup import Setup
@@ -38,10 +38,12 @@ class Run(eqx.Module):
     """Volume with what it would remove beside the part, over k and K_P [mm^4, mm^5]."""
     dwell: Float[Array, "*n"]
     """Time of one pass [s]."""
-    pace: Float[Array, "*n"]
-    """Time per length of guide, rms over loop and path [s/mm]."""
-    bend: Float[Array, "*n 2 2"]
-    """Mean curvature of the part in the frame (feed, left) [1/mm]."""
+    rims: Rims
+    """Where the rim makes the ripple."""
+    passed: Float[Array, "*n bends harmonics waves"]
+    """Share of each wave's amplitude that the roughness filter lets through [-]."""
+    area: Float[Array, "*n"]
+    """Area of the part [mm^2]."""
 
 
 class Finished(eqx.Module):
@@ -76,6 +78,10 @@ def followed(processes: Process, before: Scratches, setup: Setup) -> Run:
         setup: The job. Its foundation, stiffening and Preston coefficient do not matter.
     """
 
+    bends = setup.guide.bends() if setup.lean == "guide" else setup.guide.compass()
+
+    area = part_area(setup)
+
     def coefficients(process: Process, stiffening: Scalar):
         one = jnp.ones_like(stiffening)
         tool = dataclasses.replace(setup.tool, foundation=one, stiffening=stiffening)
@@ -90,7 +96,11 @@ def followed(processes: Process, before: Scratches, setup: Setup) -> Run:
         square = jnp.sum(weight[:, None] * path.pace**2) / path.pace.shape[1]
         bend = jnp.einsum("k,kab->ab", weight, path.curvature)
         scaled = (pressure, jnp.sum(path.kept), jnp.sum(path.volumes))
-        return scaled, (dwell, jnp.sqrt(square), bend)
+        made = rims(
+            process, setup.tool.radius, bends, bend, jnp.sqrt(square), setup.side
+        )
+        passed = 1 - gaussian_transmission(made.wavelengths, setup.roughness_cutoff)
+        return scaled, (dwell, made, passed, area)
 
     def follow(given):
         process, before = given
@@ -98,7 +108,7 @@ def followed(processes: Process, before: Scratches, setup: Setup) -> Run:
         scaled, same = jax.vmap(coefficients, in_axes=(None, 0))(process, plain)
         # both ends of a straight line: its value at 0, and its slope
         lines = [jnp.stack([y[0], y[1] - y[0]]) for y in scaled]
-        return Run(process, before, *lines, *(y[0] for y in same))
+        return Run(process, before, *lines, *jax.tree.map(lambda y: y[0], same))
 
     return jax.lax.map(follow, (processes, before))
 
@@ -122,32 +132,19 @@ def finished(runs: Run, setup: Setup) -> Finished:
     """
     tool, abrasive = setup.tool, setup.abrasive
     bed = tool.foundation * jnp.stack([jnp.ones_like(tool.stiffening), tool.stiffening])
-    area = part_area(setup)
-    bends = setup.guide.bends() if setup.lean == "guide" else setup.guide.compass()
 
     def finish(run: Run) -> Finished:
         passes = run.process.passes
         pressure, kept = run.pressure @ bed, abrasive.preston * (run.kept @ bed)
         total = abrasive.preston * (run.total @ bed)
-        removal = passes * kept / area
-        waves = ripple(
-            run.process,
-            tool,
-            passes * abrasive.preston,
-            bends,
-            run.bend,
-            run.pace,
-            passes * total / run.dwell,
-            setup.side,
-        )
-        waves = eqx.tree_at(
-            lambda w: w.variances, waves, abrasive.ripple_gain**2 * waves.variances
-        )
+        removal = passes * kept / run.area
         inside = jnp.where(total > 0, kept / jnp.where(total > 0, total, 1.0), 0.0)
-        density = setup.guide.length / area * inside
-        passed = 1 - gaussian_transmission(waves.wavelengths, setup.roughness_cutoff)
-        second, fourth = waves.moments(density, passed)
-        rippled = Cumulants(second, jnp.zeros_like(second), fourth)
+        density = setup.guide.length / run.area * inside
+        scale = (abrasive.ripple_gain * abrasive.preston * tool.foundation) ** 2
+        second, fourth = _linear(lambda beta: _ripple(run, beta), tool.stiffening)
+        left = Cumulants(
+            density * scale * second, jnp.zeros_like(second), density * scale**2 * fourth
+        )
         start = jax.tree.map(
             lambda known, given: jnp.where(jnp.isnan(known), given, known),
             run.before,
@@ -156,7 +153,26 @@ def finished(runs: Run, setup: Setup) -> Finished:
         begun = dataclasses.replace(
             setup, start=dataclasses.replace(setup.start, scratches=start)
         )
-        texture: Texture = combine(*evolved(begun, pressure, removal), rippled)
+        texture: Texture = combine(*evolved(begun, pressure, removal), left)
         return Finished(removal, texture.Sa, texture.Sq, texture.Ssk, texture.Sku)
 
     return jax.vmap(finish)(runs)
+
+
+def _ripple(run: Run, stiffening: Scalar) -> tuple[Scalar, Scalar]:
+    """Moments of the ripple per density of strips, with k and K_P taken out."""
+    one = jnp.ones_like(stiffening)
+    volume = run.total @ jnp.stack([one, stiffening]) / run.dwell
+    passes = run.process.passes
+    made = waves(run.rims, one, stiffening, passes, passes * volume)
+    return made.moments(one, run.passed)
+
+
+def _linear(f, x: Scalar):
+    """f(x) with its first derivative, computed once however many directions are asked.
+
+    Most constants do not touch the ripple, and there are many waves.
+    """
+    x = jax.lax.stop_gradient(x), x
+    values, slopes = jax.jvp(f, x[:1], (jnp.ones_like(x[1]),))
+    return jax.tree.map(lambda y, dy: y + dy * (x[1] - x[0]), values, slopes)
