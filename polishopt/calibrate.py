@@ -1,4 +1,4 @@
-"""Calibrate: `python -m polishopt.calibrate config.yaml --data data.csv -o calibrated.yaml`.
+"""Calibrate: `python -m polishopt.calibrate config.yaml --data data.csv -o new.yaml`.
 
 It estimates the constants of tool and abrasive from measured forces, removal and roughness,
 says how well each is known and what the data cannot tell apart, and writes them into a
@@ -215,7 +215,8 @@ def written(found: "Calibration") -> Iterator[Constant]:
         if seen[i]:
             key = key_of(name)
             value, error = (
-                from_internal(float(x[i]), suffix(key)) for x in (found.values, found.errors)
+                from_internal(float(x[i]), suffix(key))
+                for x in (found.values, found.errors)
             )
             yield Constant(key, value, error, f"rests on {RESTS[rests]}")
 
@@ -259,8 +260,10 @@ def show(console, found: "Calibration", data) -> None:
     console.print(table)
     freedom = np.asarray(found.freedom)
     known = float(np.trace(np.eye(freedom.size) - np.asarray(found.covariance)))
-    sentence = f"± is one standard error, 95 % an interval. The data determine {known:.1f} of these "
-    sentence += f"{freedom.size} numbers, the priors the rest. "
+    sentence = (
+        "± is one standard error, 95 % an interval. The data determine "
+        f"{known:.1f} of these {freedom.size} numbers, the priors the rest. "
+    )
     if np.isinf(freedom).all():
         sentence += "All errors of measurement are given: intervals are normal."
     else:

@@ -211,9 +211,9 @@ def patch(
 
     At the distance $x$ from the lowest rim point in the disc plane, and $\eta$ beside it,
     the depth is $w = e - x\sin\theta - \tfrac12 d^T \kappa\, d$ with
-    $d = (\mp x\cos\theta, \eta)$, and the pressure $k(w_+ + \beta w_+^2)$. Each row of nodes covers just
-    the part of the disc's chord where $w > 0$, by Gauss-Legendre quadrature, so the nodes
-    move smoothly with the process.
+    $d = (\mp x\cos\theta, \eta)$, and the pressure $k(w_+ + \beta w_+^2)$. Each row of
+    nodes covers just the part of the disc's chord where $w > 0$, by Gauss-Legendre
+    quadrature, so the nodes move smoothly with the process.
 
     Args:
         process: Tilt and displacement are read.

@@ -7,6 +7,7 @@ nothing behind it knows a file.
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from .. import setup as jobs
@@ -224,19 +225,18 @@ def data(given: Measurements, made: Job) -> Data:
         cells = [row.get(name) for row in rows]
         return jnp.asarray([jnp.nan if cell is None else cell for cell in cells], float)
 
-    def several(rows, name: str):
-        usual = getattr(made.process, name)
-        typed = column(rows, {v: k for k, v in NAMES.items()}.get(name, name))
-        return jnp.where(jnp.isnan(typed), usual, typed)
+    def settings(row) -> Process:
+        typed = {NAMES.get(name, name): value for name, value in row.items()}
+        usual = {f.name: getattr(made.process, f.name) for f in dataclasses.fields(Process)}
+        mine = {k: usual[k] if typed.get(k) is None else typed[k] for k in usual}
+        return Process(**mine)
 
     forces, runs = given.forces, given.runs
     followed_runs = None
     if runs:
-        fields = [field.name for field in dataclasses.fields(Process)]
-        processes = Process(**{name: several(runs, name) for name in fields})
-        before = roughness_cumulants(
-            *(column(runs, f"start_{name}") for name in ("Sq", "Ssk", "Sku"))
-        )
+        processes = jax.tree.map(lambda *x: jnp.stack(x), *map(settings, runs))
+        known = [column(runs, f"start_{name}") for name in ("Sq", "Ssk", "Sku")]
+        before = jax.vmap(roughness_cumulants)(*known)
         followed_runs = followed(processes, before, made.setup)
     tables = {"force": forces} | dict.fromkeys(("removal", "Sa", "Sq", "Ssk", "Sku"), runs)
     held = {name: rows for name, rows in tables.items() if any(name in r for r in rows)}

@@ -240,9 +240,9 @@ def wrong_row(row: dict[str, float | None]) -> list[str]:
     if "force_N" in given:
         needs |= {"tilt_deg": "", "displacement_mm": ""}
     for column, other in needs.items():
-        lacking = column if not other else other
+        lacking = other or column
         if lacking not in given:
-            said.append(f"{'force_N' if not other else column} needs {lacking} in its row")
+            said.append(f"{column if other else 'force_N'} needs {lacking} in its row")
     before = given & {*BEFORE}
     if before and len(before) < len(BEFORE):
         lacking = next(column for column in BEFORE if column not in given)
@@ -257,7 +257,9 @@ def wrong_row(row: dict[str, float | None]) -> list[str]:
             )
     mean, square = row.get("Sa_nm"), row.get("Sq_nm")
     if mean is not None and square is not None and mean > square:
-        said.append(f"Sa_nm is {mean:g}, must not exceed Sq_nm, {square:g}: no surface does")
+        said.append(
+            f"Sa_nm is {mean:g}, must not exceed Sq_nm, {square:g}: no surface does"
+        )
     return said
 
 
@@ -272,7 +274,9 @@ def too_few(rows: list[dict[str, float | None]]) -> list[str]:
         if not held:
             continue
         if 0 < len(known) < len(held):
-            sentence = f"{column} has {error_of(column)} in {len(known)} of {len(held)} rows"
+            sentence = (
+                f"{column} has {error_of(column)} in {len(known)} of {len(held)} rows"
+            )
             said.append(f"{sentence}; give it in all of them or in none")
             continue
         fewest = given if known else estimated

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
 from ..contact.pressure import flat_force
 from ..parts import Scalar
@@ -62,11 +62,12 @@ HELD = (
     "abrasive.depth_variation",
 )
 # measurement: its relative scatter before anything is known of it; that of Ssk is
-# relative to (1 + Ssk^2)^(1/2)
+# relative to its size, or to that of a small one, all of them added as squares
+SMALL_SKEWNESS = 0.3
 SCATTER = {"force": 0.05, "removal": 0.05, "Sa": 0.05, "Sq": 0.05, "Ssk": 0.1, "Sku": 0.05}
 # Places from which the constants are searched for: a texture may have come about in more
 # than one way. Then scatter and constants are estimated in turn, so many times.
-STARTS, ROUNDS = 6, 8
+STARTS, ROUNDS = 4, 6
 LEAST_SCATTER, LEAST_FREEDOM = 1e-5, 0.1
 # Share of the prior variance that is left where a constant counts as known from data,
 # and where it counts as known from its prior only.
@@ -83,7 +84,8 @@ class Data(eqx.Module):
     runs: Run | None
     """Polishing runs, stacked; None for none."""
     measured: dict[str, Float[Array, " _"]]
-    """`force` for each tilt; `removal`, `Sa`, `Sq`, `Ssk`, `Sku` for each run [N, mm, -]."""
+    """`force` for each tilt, `removal`, `Sa`, `Sq`, `Ssk`, `Sku` for each run
+    [N, mm, -]."""
     errors: dict[str, Float[Array, " _"]]
     """Standard errors of those whose errors are given, in the same units."""
 
@@ -114,7 +116,7 @@ class Calibration(eqx.Module):
     `names` and `held` (by the constant itself where it may be negative)."""
     scatter: dict[str, Scalar]
     """Each measurement's scatter around the model: over its errors where they are given;
-    else relative, that of Ssk to (1 + Ssk^2)^(1/2) [-]."""
+    else relative; see `SCATTER` for Ssk [-]."""
     scatter_freedom: dict[str, Scalar]
     """Degrees of freedom that each of these rests on."""
     predicted: dict[str, Float[Array, " _"]]
@@ -246,9 +248,11 @@ def misses(data: Data, predicted: dict, scatter: dict) -> dict:
     for name, measured in data.measured.items():
         there = jnp.isfinite(measured)
         safe = jnp.where(there, measured, 1.0)
-        error = data.errors.get(name)
-        size = jnp.sqrt(1.0 + safe**2) if name == "Ssk" else safe
-        unit = scatter.get(name) if error is None else jnp.where(there, error, 1.0) / size
+        size = jnp.sqrt(SMALL_SKEWNESS**2 + safe**2) if name == "Ssk" else safe
+        if name in data.errors:
+            unit = jnp.where(there, data.errors[name], 1.0) / size
+        else:
+            unit = scatter[name]
         if name == "Ssk":
             miss = (safe - predicted[name]) / (unit * size)
         else:
@@ -333,11 +337,15 @@ def calibrate(data: Data, setup: Setup, names: tuple[str, ...]) -> Calibration:
         best, scatter = carry
         place, searching, settled = given
         fit = fitted(jnp.where(searching, place, best.point), scatter)
-        finer = (fit.cost < best.cost) | ~searching
-        best = jax.tree.map(lambda new, old: jnp.where(finer, new, old), fit, best)
+        lower = (fit.cost < best.cost) | ~searching
+        best = jax.tree.map(lambda new, old: jnp.where(lower, new, old), fit, best)
         _, ratio = seen(best)
-        better = {name: jnp.maximum(s * ratio[name], LEAST_SCATTER) for name, s in scatter.items()}
-        better = jax.tree.map(lambda new, old: jnp.where(settled, new, old), better, scatter)
+        better = {
+            name: jnp.maximum(s * ratio[name], LEAST_SCATTER) for name, s in scatter.items()
+        }
+        better = jax.tree.map(
+            lambda new, old: jnp.where(settled, new, old), better, scatter
+        )
         # slopes and misses in the scatter that is known now
         finer = [
             jnp.full(size, scatter[name] / better[name] if name in unknown else 1.0, kind)
@@ -438,9 +446,9 @@ def intervals(calibration: Calibration, level: float = 0.95) -> np.ndarray:
 
 def quantiles(calibration: Calibration, level: float = 0.95) -> np.ndarray:
     """How many standard errors an interval of each constant reaches to either side."""
-    # beyond a thousand degrees of freedom t is as good as normal
-    freedom = np.minimum(np.asarray(calibration.freedom), 1e6)
-    return stdtrit(freedom, 0.5 + level / 2)
+    freedom, share = np.asarray(calibration.freedom), 0.5 + level / 2
+    finite = np.isfinite(freedom)
+    return np.where(finite, stdtrit(np.where(finite, freedom, 1.0), share), ndtri(share))
 
 
 def rests_on(calibration: Calibration) -> list[str]:

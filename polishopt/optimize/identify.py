@@ -86,7 +86,7 @@ def left_open(calibration: Calibration) -> list[Open]:
     silent = axes[:, size < SILENT]
     shared = silent @ silent.T
     linked = np.abs(shared) > NAMED
-    result, left = [], [i for i in range(len(calibration.names)) if linked[i, i]]
+    result, left = [], np.flatnonzero(linked.any(axis=1)).tolist()
     while left:
         group, edge = [], [left.pop(0)]
         while edge:

@@ -6,6 +6,7 @@ path once, and what any other constants would have made of it costs next to noth
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -24,7 +25,7 @@ from ..texture.scratches import Scratches
 
 
 class Run(eqx.Module):
-    """A run with $k$ and $K_P$ taken out: coefficients of 1 and of $\\beta$."""
+    r"""A run with $k$ and $K_P$ taken out: coefficients of 1 and of $\beta$."""
 
     process: Process
     """The settings."""
@@ -61,9 +62,7 @@ class Finished(eqx.Module):
     """Kurtosis [-]."""
 
 
-def roughness_cumulants(
-    Sq: Float[Array, "*n"], Ssk: Float[Array, "*n"], Sku: Float[Array, "*n"]
-) -> Scratches:
+def roughness_cumulants(Sq: Scalar, Ssk: Scalar, Sku: Scalar) -> Scratches:
     """The cumulants of a roughness of which Sq [mm], Ssk and Sku are known."""
     return Cumulants(Sq**2, Ssk * Sq**3, (Sku - 3.0) * Sq**4)
 
@@ -77,10 +76,9 @@ def followed(processes: Process, before: Scratches, setup: Setup) -> Run:
         before: Cumulants of the texture before each run; NaN for that of the setup.
         setup: The job. Its foundation, stiffening and Preston coefficient do not matter.
     """
-
     bends = setup.guide.bends() if setup.lean == "guide" else setup.guide.compass()
 
-    area = part_area(setup)
+    whole = part_area(setup)
 
     def coefficients(process: Process, stiffening: Scalar):
         one = jnp.ones_like(stiffening)
@@ -96,11 +94,9 @@ def followed(processes: Process, before: Scratches, setup: Setup) -> Run:
         square = jnp.sum(weight[:, None] * path.pace**2) / path.pace.shape[1]
         bend = jnp.einsum("k,kab->ab", weight, path.curvature)
         scaled = (pressure, jnp.sum(path.kept), jnp.sum(path.volumes))
-        made = rims(
-            process, setup.tool.radius, bends, bend, jnp.sqrt(square), setup.side
-        )
+        made = rims(process, setup.tool.radius, bends, bend, jnp.sqrt(square), setup.side)
         passed = 1 - gaussian_transmission(made.wavelengths, setup.roughness_cutoff)
-        return scaled, (dwell, made, passed, area)
+        return scaled, (dwell, made, passed, whole)
 
     def follow(given):
         process, before = given
@@ -108,7 +104,8 @@ def followed(processes: Process, before: Scratches, setup: Setup) -> Run:
         scaled, same = jax.vmap(coefficients, in_axes=(None, 0))(process, plain)
         # both ends of a straight line: its value at 0, and its slope
         lines = [jnp.stack([y[0], y[1] - y[0]]) for y in scaled]
-        return Run(process, before, *lines, *jax.tree.map(lambda y: y[0], same))
+        dwell, made, passed, area = jax.tree.map(lambda y: y[0], same)
+        return Run(process, before, *lines, dwell, made, passed, area)
 
     return jax.lax.map(follow, (processes, before))
 
@@ -168,11 +165,11 @@ def _ripple(run: Run, stiffening: Scalar) -> tuple[Scalar, Scalar]:
     return made.moments(one, run.passed)
 
 
-def _linear(f, x: Scalar):
+def _linear(f: Callable[[Scalar], tuple[Scalar, Scalar]], x: Scalar):
     """f(x) with its first derivative, computed once however many directions are asked.
 
     Most constants do not touch the ripple, and there are many waves.
     """
-    x = jax.lax.stop_gradient(x), x
-    values, slopes = jax.jvp(f, x[:1], (jnp.ones_like(x[1]),))
-    return jax.tree.map(lambda y, dy: y + dy * (x[1] - x[0]), values, slopes)
+    fixed = jax.lax.stop_gradient(x)
+    values, slopes = jax.jvp(f, (fixed,), (jnp.ones_like(x),))
+    return tuple(y + dy * (x - fixed) for y, dy in zip(values, slopes, strict=True))
