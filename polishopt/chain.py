@@ -68,11 +68,8 @@ def finish(done: Mechanics, setup: Setup, start: Start) -> Outcome:
     """
     rest, left = evolved(setup, start, done.pressure, done.mean_removal)
     *earlier, own = left.scratches
-    zero = jnp.zeros_like(done.pressure)
-    total = Cumulants(zero, zero, zero)
-    for population in earlier:
-        total = Cumulants(*(a + b for a, b in zip(total, population, strict=True)))
-    parts = (rest, total, own.cumulants, done.waves.cumulants)
+    old = Start(tuple(earlier), spacing=left.spacing).total
+    parts = (rest, old, own.cumulants, done.waves.cumulants)
     texture: Texture = combine(*parts)
     left = eqx.tree_at(lambda s: s.scratches, left, (*left.scratches, done.waves))
     return Outcome(

@@ -292,10 +292,11 @@ def mechanics(process: Process, setup: Setup) -> Mechanics:
 
 def _ripple(process: Process, setup: Setup, path: Stations) -> Ripple:
     """Ripple of the removal, from the mean curvature and the mean loop of the path."""
+    gain = setup.abrasive.ripple_gain
     share = path.weight / jnp.sum(path.weight)
     bend = jnp.einsum("k,kab->ab", share, path.curvature)
     square = jnp.sum(share[:, None] * path.pace**2) / path.pace.shape[1]
-    return ripple(
+    waves = ripple(
         process,
         setup.tool,
         process.passes * setup.abrasive.preston,
@@ -305,6 +306,7 @@ def _ripple(process: Process, setup: Setup, path: Stations) -> Ripple:
         process.passes * jnp.sum(path.volumes) / jnp.sum(path.dwell),
         setup.side,
     )
+    return eqx.tree_at(lambda w: w.variances, waves, gain**2 * waves.variances)
 
 
 def _share(part: Float[Array, "..."], whole: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -62,6 +62,8 @@ class Tool(eqx.Module):
     """Friction coefficient between abrasive and part, mu [-]."""
     shear_strength: Scalar = eqx.field(converter=as_scalar, default=jnp.inf)
     """Shear stress at which the adhesive fails, tau [MPa]; infinite if unknown."""
+    stiffening: Scalar = eqx.field(converter=as_scalar, default=0.0)
+    """Relative growth of `foundation` per depth pressed in, beta [1/mm]."""
 
 
 class Abrasive(eqx.Module):
@@ -85,6 +87,8 @@ class Abrasive(eqx.Module):
     """Length above which the pad follows the surface, l_c [mm]."""
     asperity_stiffness: Scalar = eqx.field(converter=as_scalar, default=jnp.nan)
     """Calibrated K_a [N/mm^3]; NaN means take it from `pad_modulus`."""
+    ripple_gain: Scalar = eqx.field(converter=as_scalar, default=1.0)
+    """Amplitude of the ripple that is found, over the one that the path predicts [-]."""
 
 
 AXES = ("X", "Y", "Z", "A", "C")

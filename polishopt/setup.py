@@ -14,6 +14,7 @@ from .contact.removal import Grid
 from .parts import Abrasive, Machine, Scalar, Tool, as_array, as_scalar
 from .path.guide import Guide
 from .path.surface import Plane
+from .texture.areal import Cumulants
 from .texture.scratches import Population
 
 
@@ -30,14 +31,20 @@ class Start(eqx.Module):
     """Distance of its points along y and x [mm]."""
 
     @property
+    def total(self) -> Cumulants:
+        """Cumulants of all scratches and ripples together [mm^2, mm^3, mm^4]."""
+        zero = jnp.zeros((), self.spacing.dtype)
+        orders = zip((zero, zero, zero), *self.scratches, strict=True)
+        return Cumulants(*(sum(order, zero) for order in orders))
+
+    @property
     def Sz(self) -> Scalar:
         """Height from the deepest pit to the highest peak, estimated [mm].
 
         The range of the height map, and six standard deviations of everything else: what
         a few hundred independent points of Gaussian heights span.
         """
-        zero = jnp.zeros((), self.spacing.dtype)
-        square = sum((old.k2 for old in self.scratches), zero)
+        square = self.total.k2
         some = square > 0
         rest = jnp.where(some, 6.0 * jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)
         return rest if self.heights is None else rest + jnp.ptp(self.heights)

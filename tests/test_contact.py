@@ -1,10 +1,13 @@
 """The disc against closed forms on the flat, and brute force on curved parts."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.integrate
 from helpers import assert_close
 from polishopt.contact import pressure
 from polishopt.parts import Process, Tool
@@ -56,6 +59,28 @@ def test_force_table(displacement, column, tilt_deg):
     assert_close(force, FORCE_TABLE[displacement][column], rtol=5e-3, atol=5e-3)
     nodes = patch(process(tilt_deg, displacement), disc(foundation=1.0), FLAT)
     assert_close(nodes.force, force, rtol=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "displacement", "stiffening"),
+    [(3, 0.4, 0.5), (10, 0.6, 2.0), (15, 0.9, -0.3), (3, 1.2, 0.7), (0, 0.3, 1.0)],
+)
+def test_a_bed_that_stiffens(tilt_deg, displacement, stiffening):
+    """Closed form and patch against the integral of k (w + beta w^2) over the disc."""
+    radius, tilt = 9.0, tilt_deg * DEG
+
+    def slice_(x):
+        depth = displacement - x * math.sin(tilt)
+        chord = 2 * math.sqrt(max(x * (2 * radius - x), 0.0))
+        return chord * depth * (1 + stiffening * depth)
+
+    end = min(displacement / math.sin(tilt), 2 * radius) if tilt else 2 * radius
+    want = 0.3 * math.cos(tilt) * scipy.integrate.quad(slice_, 0, end, epsabs=1e-12)[0]
+    given = [radius, 0.3, tilt, displacement, stiffening]
+    assert_close(pressure.flat_force(*map(jnp.asarray, given)), want, rtol=1e-8)
+    tool = disc(foundation=0.3, stiffening=stiffening)
+    nodes = patch(process(tilt_deg, displacement), tool, FLAT, rows=24)
+    assert_close(nodes.force, want, rtol=1e-4)
 
 
 def brute_force(tilt_deg, displacement, curvature, diameter=18.0, lean=1.0, count=1500):

@@ -21,9 +21,11 @@ texture.planarisation texture.scratches texture.evolution texture.direction
 texture.local texture
 setup mechanics chain plan resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
-optimize.auglag optimize.goals optimize.tune optimize.sensitivity optimize
+optimize.auglag optimize.goals optimize.tune optimize.sensitivity
+optimize.runs optimize.calibrate optimize.identify optimize
 files
-plots report results plan_report session fit sensitivity measure texture.__main__
+plots report results plan_report session fit sensitivity measure calibrate
+texture.__main__
 """
 ORDER = FLOORS.split()
 TOP = set(ORDER[ORDER.index("files") + 1 :])

@@ -1,7 +1,8 @@
 r"""Pressure: where the tilted disc touches the part, and how hard it presses.
 
 The elastomer behind the disc is taken as a bed of independent springs (Winkler): each
-point presses with k times the depth it would otherwise sink in. On a plane everything
+point presses with k times the depth it would otherwise sink in, or a little more than in
+proportion where the bed stiffens. On a plane everything
 has a closed form (a cylindrical ungula); on a curved part the gap gains the local
 curvature and a quadrature over the contact patch takes over. The tool frame has its
 origin at the contact point, which is the lowest point of the rim: xi runs along the feed
@@ -97,30 +98,59 @@ def flat_area(radius: Scalar, tilt: Scalar, displacement: Scalar) -> Scalar:
     return jnp.cos(tilt) * radius**2 * (angle - jnp.sin(angle) * jnp.cos(angle))
 
 
+def bed_pressure(
+    foundation: Scalar, stiffening: Scalar, depth: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    r"""Pressure of the elastic bed where it is pressed in, $k(w + \beta w^2)$ [MPa].
+
+    Zero where nothing is pressed in, and never a pull.
+
+    Args:
+        foundation: Stiffness of the bed, $k$ [N/mm^3].
+        stiffening: Its relative growth per depth, $\beta$ [1/mm]. A bed that softens,
+            $\beta < 0$, is described up to a depth of $-1/(2\beta)$.
+        depth: How far the bed is pressed in, $w$ [mm].
+    """
+    pressed = jnp.maximum(depth, 0.0)
+    return foundation * pressed * jnp.maximum(1.0 + stiffening * pressed, 0.0)
+
+
 def flat_force(
-    radius: Scalar, foundation: Scalar, tilt: Scalar, displacement: Scalar
+    radius: Scalar,
+    foundation: Scalar,
+    tilt: Scalar,
+    displacement: Scalar,
+    stiffening: Scalar | float = 0.0,
 ) -> Scalar:
     r"""Force that presses a tilted disc on a plane [N].
 
     $F = k\sin\theta\cos\theta\,R^3[\sin\alpha - \tfrac13\sin^3\alpha - \alpha\cos\alpha]$
     while part of the disc touches; $F = k\cos\theta\,\pi R^2 (e - R\sin\theta)$ once all
-    of it does. Both values and slopes agree where the cases meet.
+    of it does. Both values and slopes agree where the cases meet. A bed that stiffens adds
+    $k\beta\sin^2\theta\cos\theta\,R^4[\tfrac14\alpha - \tfrac1{16}\sin4\alpha
+    - \tfrac43\cos\alpha\sin^3\alpha + \cos^2\alpha(\alpha - \tfrac12\sin2\alpha)]$,
+    and $k\beta\cos\theta\,\pi R^2[(e - R\sin\theta)^2 + \tfrac14R^2\sin^2\theta]$.
 
     Args:
         radius: Disc radius, $R$ [mm].
         foundation: Stiffness of the elastic bed, $k$ [N/mm^3].
         tilt: Tilt, $\theta$ [rad].
         displacement: Displacement, $e$ [mm].
+        stiffening: Relative growth of the bed's stiffness per depth, $\beta$ [1/mm].
 
-    Source: own derivation, volume of a cylindrical ungula.
+    Source: own derivation, volume of a cylindrical ungula and its second moment.
     """
     angle = _segment_angle(radius, immersion(radius, tilt, displacement))
     sine, cosine = jnp.sin(angle), jnp.cos(angle)
     ungula = radius**3 * (sine - sine**3 / 3 - angle * cosine)
-    part = foundation * jnp.sin(tilt) * jnp.cos(tilt) * ungula
-    excess = displacement - radius * jnp.sin(tilt)
-    whole = foundation * jnp.cos(tilt) * jnp.pi * radius**2 * excess
-    return jnp.where(displacement >= 2 * radius * jnp.sin(tilt), whole, part)
+    slope, level = jnp.sin(tilt), foundation * jnp.cos(tilt)
+    second = angle / 4 - jnp.sin(4 * angle) / 16 - 4 * cosine * sine**3 / 3
+    second = second + cosine**2 * (angle - jnp.sin(2 * angle) / 2)
+    part = level * slope * (ungula + stiffening * slope * radius**4 * second)
+    excess = displacement - radius * slope
+    square = excess**2 + (radius * slope) ** 2 / 4
+    whole = level * jnp.pi * radius**2 * (excess + stiffening * square)
+    return jnp.where(displacement >= 2 * radius * slope, whole, part)
 
 
 class Patch(eqx.Module):
@@ -181,13 +211,13 @@ def patch(
 
     At the distance $x$ from the lowest rim point in the disc plane, and $\eta$ beside it,
     the depth is $w = e - x\sin\theta - \tfrac12 d^T \kappa\, d$ with
-    $d = (\mp x\cos\theta, \eta)$, and the pressure $k w_+$. Each row of nodes covers just
-    the part of the disc's chord where $w > 0$, by Gauss-Legendre quadrature, so the nodes
-    move smoothly with the process.
+    $d = (\mp x\cos\theta, \eta)$, and the pressure $k(w_+ + \beta w_+^2)$. Each row of
+    nodes covers just the part of the disc's chord where $w > 0$, by Gauss-Legendre
+    quadrature, so the nodes move smoothly with the process.
 
     Args:
         process: Tilt and displacement are read.
-        tool: Radius and foundation are read.
+        tool: Radius, foundation and stiffening are read.
         curvature: Normal curvature of the part in the frame (feed, left), positive where
             convex [1/mm].
         lean: +1 where the axis leans towards the feed (pulling), -1 away (pushing).
@@ -243,7 +273,7 @@ def patch(
     return Patch(
         offsets=jnp.stack([-lean * level * x, across], axis=-1),
         arms=jnp.stack([radius - x, across], axis=-1),
-        pressure=tool.foundation * jnp.maximum(depth, 0.0),
+        pressure=bed_pressure(tool.foundation, tool.stiffening, depth),
         area=level * width * height[:, None],
     )
 
@@ -280,12 +310,13 @@ def unstick_force(tilt: Scalar, tool: Tool) -> Scalar:
 def shear_margin(process: Process, tool: Tool) -> Scalar:
     r"""Shear stress left before the adhesive fails [MPa]; infinite where not given.
 
-    $\tau - \mu k e$: friction under the deepest point, where the pressure is $k e$.
+    $\tau - \mu k(e + \beta e^2)$: friction under the deepest point.
 
     Args:
         process: Displacement is read.
-        tool: Friction, foundation and shear strength are read.
+        tool: Friction, foundation, stiffening and shear strength are read.
 
     Source: own derivation, Coulomb friction under a Winkler bed.
     """
-    return tool.shear_strength - tool.friction * tool.foundation * process.displacement
+    deepest = bed_pressure(tool.foundation, tool.stiffening, process.displacement)
+    return tool.shear_strength - tool.friction * deepest

@@ -31,7 +31,7 @@ from jaxtyping import Array, Float
 
 from ..parts import Process, Scalar, Tool
 from ..path.guide import Bends
-from .pressure import envelope
+from .pressure import bed_pressure, envelope
 
 
 HARMONICS = 3
@@ -79,6 +79,25 @@ class Ripple(eqx.Module):
         return density * second, -1.5 * density * fourth
 
 
+class Rims(eqx.Module):
+    """The two places of the rim that make each wave, as far as the path knows them."""
+
+    depths: Float[Array, "*n 2 bends waves"]
+    """How deep these places are pressed in; negative where they hover [mm]."""
+    speed: Float[Array, "*n"]
+    """Speed of the rim under the spindle [mm/s]."""
+    edges: Float[Array, "*n bends harmonics waves"]
+    """Squared transform of the footprint per squared removal rate at the rim [mm^4]."""
+    weights: Float[Array, "*n bends harmonics waves"]
+    """Variance across the strip per squared transform of the footprint [s^2/mm^3]."""
+    wavelengths: Float[Array, "*n bends harmonics waves"]
+    """Length of each wave [mm]."""
+    shares: Float[Array, "*n bends"]
+    """Share of the guide that bends like this [-]."""
+    width: Float[Array, "*n"]
+    """Width of the strip, E [mm]."""
+
+
 def ripple(
     process: Process,
     tool: Tool,
@@ -91,14 +110,9 @@ def ripple(
 ) -> Ripple:
     r"""Waves that one run of a trochoid leaves.
 
-    The rim is an ellipse in the tangent plane, and the transform of the footprint there is
-    that of its abrupt edges: $|G|^2 = \sum 2\pi\rho\, w^2/k^3$ over the two places where
-    the rim runs along the crests, with its radius of curvature $\rho$ and the removal rate
-    w at the edge. No wave can be larger than the footprint's whole volume.
-
     Args:
         process: Tilt, displacement, step, trochoid radius and spindle speed are read.
-        tool: Radius and foundation are read.
+        tool: Radius, foundation and stiffening are read.
         preston: Preston coefficient, $K_P$ [1/MPa].
         bends: How the guide bends, and which way it runs from the lean of the axis.
         curvature: Normal curvature of the part along (feed, left), convex positive [1/mm].
@@ -109,7 +123,55 @@ def ripple(
     Source: own derivation, stationary phase; the loop is S0 (Pessoles & Tournier 2009)
         eq. (5).
     """
-    radius, level, slope = tool.radius, jnp.cos(process.tilt), jnp.sin(process.tilt)
+    made = rims(process, tool.radius, bends, curvature, pace, lean)
+    return waves(made, tool.foundation, tool.stiffening, preston, volume)
+
+
+def waves(
+    rims: Rims, foundation: Scalar, stiffening: Scalar, preston: Scalar, volume: Scalar
+) -> Ripple:
+    r"""Waves that a bed and a Preston coefficient make of the rims of one run.
+
+    The rim is an ellipse in the tangent plane, and the transform of the footprint there is
+    that of its abrupt edges: $|G|^2 = \sum 2\pi\rho\, w^2/k^3$ over the two places where
+    the rim runs along the crests, with its radius of curvature $\rho$ and the removal rate
+    w at the edge. No wave can be larger than the footprint's whole volume.
+
+    Args:
+        rims: Of one run, by `rims`.
+        foundation: Stiffness of the elastic bed, $k$ [N/mm^3].
+        stiffening: Its relative growth per depth, $\beta$ [1/mm].
+        preston: Preston coefficient, $K_P$ [1/MPa].
+        volume: Volume that the footprint removes per time [mm^3/s].
+    """
+    pressure = bed_pressure(foundation, stiffening, rims.depths)
+    rates = jnp.sum((preston * rims.speed * pressure) ** 2, axis=0)
+    edge = rims.edges * rates[:, None, :]
+    whole = edge + volume**2
+    some = whole > 0
+    footprint = jnp.where(some, edge * volume**2 / jnp.where(some, whole, 1.0), 0.0)
+    return Ripple(rims.weights * footprint, rims.wavelengths, rims.shares, rims.width)
+
+
+def rims(
+    process: Process,
+    radius: Scalar,
+    bends: Bends,
+    curvature: Float[Array, "2 2"],
+    pace: Scalar,
+    lean: float = 1.0,
+) -> Rims:
+    """Where the rim makes the waves of one run: all that its path knows of the ripple.
+
+    Args:
+        process: Tilt, displacement, step, trochoid radius and spindle speed are read.
+        radius: Radius of the disc [mm].
+        bends: As in `ripple`.
+        curvature: As in `ripple` [1/mm].
+        pace: As in `ripple` [s/mm].
+        lean: As in `ripple`.
+    """
+    level, slope = jnp.cos(process.tilt), jnp.sin(process.tilt)
     real = radius.dtype
     nodes, weights = np.polynomial.legendre.leggauss(WAVES)
     angle = jnp.asarray(np.pi / 2 * nodes, dtype=real)  # of a wave, from V
@@ -129,18 +191,11 @@ def ripple(
     beside = jnp.sin(heading) / reach
     rim_radius = radius * level**2 / reach**3
 
-    def rate(sign):
+    def depth(sign):
         x = radius * (1 + sign * towards)  # from the contact point, in the disc
         d = jnp.stack([-lean * level * x, sign * radius * beside], axis=-1)
         sunk = jnp.einsum("...a,ab,...b->...", d, curvature, d)
-        depth = process.displacement - slope * x - 0.5 * sunk
-        return tool.foundation * jnp.maximum(depth, 0.0) * preston * process.spin * radius
-
-    edge = 2 * jnp.pi * rim_radius * (rate(1.0) ** 2 + rate(-1.0) ** 2)
-    edge = edge[:, None, :] / k**3
-    whole = edge + volume**2
-    some = whole > 0
-    footprint = jnp.where(some, edge * volume**2 / jnp.where(some, whole, 1.0), 0.0)
+        return process.displacement - slope * x - 0.5 * sunk
 
     loop = jnp.stack(
         [_loop(n + 1, process.trochoid_radius * k[:, n]) for n in range(HARMONICS)], axis=1
@@ -148,8 +203,11 @@ def ripple(
     # dk across V, over 2 pi |V|; both signs of n
     measure = k / jnp.cos(angle)[None, None, :] * weight[None, None, :]
     measure = measure / (jnp.pi * swift)[:, None, None]
-    return Ripple(
-        variances=pace**2 * footprint * loop * measure,
+    return Rims(
+        depths=jnp.stack([depth(1.0), depth(-1.0)]),
+        speed=process.spin * radius,
+        edges=(2 * jnp.pi * rim_radius)[:, None, :] / k**3,
+        weights=pace**2 * loop * measure,
         wavelengths=2 * jnp.pi / k,
         shares=bends.share,
         width=envelope(radius, process),

@@ -4,14 +4,18 @@ The one place where both sides meet: everything in `files` before it knows no JA
 nothing behind it knows a file.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from .. import setup as jobs
+from ..optimize.calibrate import Data
 from ..optimize.goals import Goal, Limits, PlanLimits
+from ..optimize.runs import followed, roughness_cumulants
 from ..parts import AXES, Abrasive, Machine, Process, Scalar, Tool, as_scalar
 from ..path.guide import hilbert, lines
 from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
@@ -20,6 +24,7 @@ from ..texture.marks import milled_marks
 from ..texture.milling import MilledSurface, milled_map
 from ..texture.scratches import Population, groove_population
 from .measured import start_map
+from .measurements import Measurements
 from .quantity import Tuned, internal
 from .schema import StepConfig
 
@@ -159,6 +164,7 @@ def tool(config: StepConfig) -> Tool:
         unstick_forces=table["force"] if table else [jnp.inf],
         friction=given["friction"],
         shear_strength=jnp.inf if shear is None else shear,
+        stiffening=given["stiffening"],
     )
 
 
@@ -198,9 +204,8 @@ def start(config: StepConfig) -> jobs.Start:
         scratches = (steady_scratches(grade, pressure),)
     elif asked.roughness is not None:
         rough = internal(asked.roughness)
-        square = as_scalar(rough["Sq"]) ** 2
-        third, fourth = rough["Ssk"] * square**1.5, (rough["Sku"] - 3.0) * square**2
-        scratches = (Population(square, third, fourth),)
+        known = (as_scalar(rough[name]) for name in ("Sq", "Ssk", "Sku"))
+        scratches = (roughness_cumulants(*known),)
     if asked.milled is None:
         return jobs.Start(scratches=scratches)
     given = internal(asked.milled)
@@ -245,4 +250,42 @@ def sampling(config: StepConfig) -> jobs.Sampling:
         columns=asked.columns,
         pixels=(asked.grid, asked.grid),
         planarisation=asked.planarisation,
+    )
+
+
+def data(given: Measurements, made: Job) -> Data:
+    """Measurements as the arrays that `calibrate` takes; every run is followed here.
+
+    Args:
+        given: Measurements at settings of this job.
+        made: The job, for what a row does not say.
+    """
+
+    def column(rows, name: str):
+        cells = [row.get(name) for row in rows]
+        return jnp.asarray([jnp.nan if cell is None else cell for cell in cells], float)
+
+    def settings(row) -> Process:
+        typed = {NAMES.get(name, name): value for name, value in row.items()}
+        usual = {f.name: getattr(made.process, f.name) for f in dataclasses.fields(Process)}
+        mine = {k: usual[k] if typed.get(k) is None else typed[k] for k in usual}
+        return Process(**mine)
+
+    forces, runs = given.forces, given.runs
+    followed_runs = None
+    if runs:
+        processes = jax.tree.map(lambda *x: jnp.stack(x), *map(settings, runs))
+        known = [column(runs, f"start_{name}") for name in ("Sq", "Ssk", "Sku")]
+        before = jax.vmap(roughness_cumulants)(*known)
+        followed_runs = followed(processes, before, made.setup)
+    tables = {"force": forces} | dict.fromkeys(("removal", "Sa", "Sq", "Ssk", "Sku"), runs)
+    held = {name: rows for name, rows in tables.items() if any(name in r for r in rows)}
+    measured = {name: column(rows, name) for name, rows in held.items()}
+    errors = {name: column(rows, f"{name}_error") for name, rows in held.items()}
+    return Data(
+        tilt=column(forces, "tilt"),
+        displacement=column(forces, "displacement"),
+        runs=followed_runs,
+        measured={k: v for k, v in measured.items() if jnp.isfinite(v).any()},
+        errors={k: v for k, v in errors.items() if jnp.isfinite(v).any()},
     )

@@ -64,7 +64,20 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Loaded:
         ConfigError: with every mistake found, as lines to print.
     """
     path = Path(path)
-    text = read_text(path)
+    return check(read_text(path), path, overrides)
+
+
+def check(text: str, path: Path, overrides: Sequence[str] = ()) -> Loaded:
+    """The text of a config, overridden and checked.
+
+    Args:
+        text: What the file holds, or is about to.
+        path: The file; a relative path of a start surface starts at its folder.
+        overrides: As in `load`.
+
+    Raises:
+        ConfigError: with every mistake found, as lines to print.
+    """
     document = parse(text, str(path))
     origin = override(document, overrides)
     place = Located(str(path), text, survey(document, str(path)), origin)

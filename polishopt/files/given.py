@@ -134,6 +134,8 @@ class Tool(Section):
     """Friction coefficient between abrasive and part."""
     shear_strength_MPa: Annotated[float, Between("(0, 1000]")] | None = None
     """Shear stress at which the adhesive of the disc fails; leave out if unknown."""
+    stiffening_1_mm: Annotated[float, Between("[-10, 100]")] = 0.0
+    """Relative growth of that stiffness per depth pressed in, beta."""
     unstick: Unstick | None = None
     """Forces at which the disc comes unstuck; leave out for a tool that is not glued."""
 
@@ -171,6 +173,8 @@ class Abrasive(Section):
     """Length above which the disc follows the surface instead of bridging it."""
     asperity_stiffness_N_mm3: Annotated[float, Between("(0, 1e12]")] | None = None
     """Pressure per height of an asperity, if measured; else it follows from the pad."""
+    ripple_gain: Annotated[float, Between("[0, 1000]")] = 1.0
+    """Amplitude of the ripple as measured, over the one that the path predicts."""
 
 
 class LinearAxis(Section):

@@ -5,10 +5,11 @@ is reported before JAX is loaded.
 """
 
 import json
+import re
 import sys
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from .asked import Limits, Process, Start, Target
 from .given import Abrasive, Hilbert, Lines, Machine, Part, Section, Tool, named
@@ -18,6 +19,9 @@ from .quantity import Between, Tuned, reject
 # sections that a step of a plan may change key by key, and those that it may replace
 MERGED = ("process", "limits")
 REPLACED = ("tool", "abrasive", "guide", "target", "texture", "sampling")
+
+# where the constants stand that may have an error
+ERRING = ("tool.", "abrasive.", "start.roughness.")
 
 
 class Texture(Section):
@@ -61,6 +65,28 @@ class Sampling(Section):
     """Most points along each side that are taken of a measured start surface."""
 
 
+def erring(config: "StepConfig", name: str) -> str:
+    """What is wrong with an error that is given for a key, or ''.
+
+    Args:
+        config: All sections.
+        name: The key with its sections, `tool.unstick.force_N[0]`.
+    """
+    node: Any = config
+    for key in re.sub(r"\[(\d+)\]", r".\1", name).split("."):
+        if isinstance(node, tuple) and key.isdecimal() and int(key) < len(node):
+            node = node[int(key)]
+        elif isinstance(node, BaseModel) and key in type(node).model_fields:
+            node = getattr(node, key)
+        else:
+            return "must stand under a key of this config, as tool.foundation_N_mm3"
+    if not name.startswith(ERRING):
+        return f"must stand under a key of {' or '.join(e[:-1] for e in ERRING)}"
+    if isinstance(node, bool) or not isinstance(node, float):
+        return "must stand under a key that is given as a number"
+    return ""
+
+
 class StepConfig(Section):
     """One polishing step: what is given, what to reach, and what to keep."""
 
@@ -94,6 +120,20 @@ class StepConfig(Section):
     """How the answer is searched for."""
     sampling: Sampling = Sampling()
     """How finely the physics is sampled."""
+    errors: dict[str, Annotated[float, Between("(0, inf)")]] = {}
+    """Standard errors of constants, as `tool.foundation_N_mm3: 0.01`, in the unit of the
+    key; `polishopt.calibrate` writes them."""
+
+    @model_validator(mode="after")
+    def _errors_have_keys(self):
+        wrongs = [
+            (("errors", name), f"{sentence}", value)
+            for name, value in self.errors.items()
+            if (sentence := erring(self, name))
+        ]
+        if wrongs:
+            reject(*wrongs)
+        return self
 
     @model_validator(mode="after")
     def _guide_fits(self):
