@@ -28,7 +28,9 @@ class StepPlace(Located):
         known = (*self.found.values, *self.found.keys, *self.origin)
         under = any(at[: 2 + deep] == own[: 2 + deep] for at in known)
         above = any(at[:deep] == keys[:deep] for at in known)
-        inside = under or not above
+        # what a merged section as a whole lacks is lacking at the top already
+        whole = len(keys) == 1 and keys[0] in MERGED
+        inside = not above or (under and not whole)
         return super().problem(own if inside else keys, sentence, at_key)
 
 
