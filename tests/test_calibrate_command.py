@@ -146,6 +146,7 @@ def test_the_command_writes_constants_with_errors(tmp_path, capsys, monkeypatch)
     assert written.tool.foundation_N_mm3 == pytest.approx(0.25, rel=0.01)
     assert written.tool.stiffening_1_mm == pytest.approx(0.0, abs=0.02)
     assert written.tool.preset == "disc_18mm"
+    assert written.tool.unstick is not None
     assert written.tool.unstick.force_N == (14.5,)
     assert set(written.errors) == {
         "tool.foundation_N_mm3",
@@ -187,6 +188,7 @@ def test_constants_go_into_any_config():
     again = check(text, PLANE)
     assert again.config.abrasive.preston_1_Pa == 1.23457e-13
     assert again.config.abrasive.grain_um == 15.3, "the preset fills the rest"
+    assert again.config.start.roughness is not None
     assert again.config.start.roughness.Sq_nm == 100
     assert again.config.start.scratches is None
     assert again.config.errors == {

@@ -104,8 +104,7 @@ def followed(processes: Process, before: Population, setup: Setup) -> Run:
         plain = jnp.asarray([0.0, 1.0], dtype=process.tilt.dtype)
         scaled, same = jax.vmap(coefficients, in_axes=(None, 0))(process, plain)
         # both ends of a straight line: its value at 0, and its slope
-        lines = [jnp.stack([y[0], y[1] - y[0]]) for y in scaled]
-        pressure, kept, total = lines
+        pressure, kept, total = (jnp.stack([y[0], y[1] - y[0]]) for y in scaled)
         dwell, made, passed, area = jax.tree.map(lambda y: y[0], same)
         return Run(process, before, pressure, kept, total, dwell, made, passed, area)
 
