@@ -4,6 +4,7 @@ Numbers are shown in the units of the trade, with the symbols of the papers besi
 words.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from rich.console import Console
@@ -15,8 +16,9 @@ from .files.config import Loaded
 from .files.quantity import Tuned
 from .files.schema import StepConfig
 from .optimize.certificate import Status
+from .optimize.goals import Goal, band_names, reached
 from .optimize.tune import Tuning, Verdict
-from .parts import Process
+from .parts import Process, Scalar
 from .units import from_internal, label, suffix
 
 
@@ -93,10 +95,11 @@ def answers(tuning: Tuning, loaded: Loaded) -> dict[str, float]:
 def summary(outcome: Outcome, job: Job) -> str:
     """What the target asks for, as it is in an outcome."""
     shown = []
-    for name in job.target:
+    for name, goal in job.target.items():
         unit = OUTCOME_UNITS.get(name, ("", ""))[0]
-        value = from_internal(float(getattr(outcome, name)), unit)
-        shown.append(f"{name} = {value:.3f} {label(unit)}".rstrip())
+        value = from_internal(float(reached(outcome, name, goal)), unit)
+        there = " at the worst place" if goal.worst else ""
+        shown.append(f"{name} = {value:.3f} {label(unit)}".rstrip() + there)
     return ", ".join(shown)
 
 
@@ -118,6 +121,7 @@ def verdict(tuning: Tuning) -> str:
     missed = ", ".join(
         f"{name} by {abs(float(miss)):.3g} tolerances"
         for name, miss in tuning.misses.items()
+        if float(miss)
     )
     return (
         f"Infeasible: within the limits the target cannot be met. The nearest texture "
@@ -213,11 +217,23 @@ def _texture(tuning: Tuning, job: Job, scatter: Scatter) -> Table:
     for name, goal in job.target.items():
         unit = OUTCOME_UNITS.get(name, ("", ""))[0]
         aim = from_internal(float(goal.value), unit)
-        reached = from_internal(float(getattr(tuning.outcome, name)), unit)
-        miss = f"{float(tuning.misses[name]):+.2g}"
+        found = from_internal(float(reached(tuning.outcome, name, goal)), unit)
         error = f"{from_internal(scatter.errors[name], unit):.2g}"
-        table.add_row(name, label(unit), f"{aim:.4f}", f"{reached:.4f}", error, miss)
+        table.add_row(
+            f"{name}, worst place" if goal.worst else name,
+            label(unit),
+            f"{aim:.4f}",
+            f"{found:.4f}",
+            error,
+            f"{missed(tuning.misses, name, goal):+.2g}",
+        )
     return table
+
+
+def missed(misses: Mapping[str, Scalar], name: str, goal: Goal) -> float:
+    """How far a goal is missed, in tolerances; at the worst place, on its worse side."""
+    sides = band_names(name) if goal.worst else (name,)
+    return max((float(misses[side]) for side in sides), key=abs)
 
 
 def _limits(tuning: Tuning, job: Job) -> Table:
