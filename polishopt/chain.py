@@ -132,7 +132,7 @@ def local_texture(
         rest = (
             rest_maps(start.heights, start.spacing, abrasive, removal, done.load, cutoff),
         )
-    found = texture_maps(removal.shape, *rest, *scratches, waves)
+    found = texture_maps(setup.sampling.pixels, *rest, *scratches, waves)
     return TextureMaps(**vars(found), evaluated=setup.evaluated), (*scratches, waves)
 
 

@@ -274,7 +274,7 @@ def _drawn(key, abrasive, outcome, wavelength, grade, grade_pressure, extent, sh
 def maps(
     tuning, setup, loaded, run, removal, texture, heights, extent, target: Path
 ) -> None:
-    """`maps.nc`: removal, texture and contact footprint, texture patch, and the path with its feed."""
+    """`maps.nc`: removal, texture, contact, a patch of texture, the path and its feed."""
     grid, law = setup.grid, run.law
     rows, columns = np.asarray(heights).shape
     flat = jnp.zeros((2, 2), dtype=grid.x.dtype)

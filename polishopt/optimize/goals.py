@@ -36,7 +36,7 @@ class Goal(eqx.Module):
     """Whether the worst place of the part must lie within the tolerance."""
 
 
-Job = TypeVar("Job", Setup, Plan)
+Job = TypeVar("Job", bound=Setup | Plan)
 
 
 class Limits(eqx.Module):
