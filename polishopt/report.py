@@ -15,6 +15,7 @@ from .files.assemble import NAMES, Job
 from .files.config import Loaded
 from .files.quantity import Tuned
 from .files.schema import StepConfig
+from .optimize.attribution import Attribution
 from .optimize.certificate import Status
 from .optimize.goals import Goal, band_names, reached
 from .optimize.tune import Tuning, Verdict
@@ -50,6 +51,7 @@ OUTCOME_UNITS = {
     "force": ("N", "force, mean over time"),
     "force_max": ("N", "force, largest"),
     "pressure": ("MPa", "mean contact pressure"),
+    "contact_area": ("mm2", "contact area"),
     "effective_diameter": ("mm", "width wiped, D_eff"),
     "envelope": ("mm", "width of the strip, E"),
     "time": ("min", "time"),
@@ -184,6 +186,30 @@ def empty_table(title: str, *columns: str) -> Table:
     table = Table(title=title, title_justify="left", title_style="bold", box=None)
     for i, column in enumerate(columns):
         table.add_column(column, justify="left" if i == 0 else "right", no_wrap=True)
+    return table
+
+
+def attribution_table(split: Attribution, first: str, second: str) -> Table:
+    """The difference of two jobs by effect, in the units of the trade.
+
+    Args:
+        split: The shares.
+        first: What the first job is called.
+        second: What the second is.
+    """
+    heads = ("", "unit", "first", "second", "difference", *split.effects)
+    title = f"From {first} (first) to {second} (second)"
+    table = empty_table(title, *heads)
+    for i, name in enumerate(split.outcomes):
+        unit, meaning = OUTCOME_UNITS.get(name, ("", name))
+        ends = [from_internal(float(end[i]), unit) for end in (split.first, split.second)]
+        shares = [from_internal(float(part), unit) for part in split.parts[i]]
+        table.add_row(
+            meaning,
+            label(unit),
+            *(f"{value:.4g}" for value in ends),
+            *(f"{value:+.3g}" for value in (ends[1] - ends[0], *shares)),
+        )
     return table
 
 

@@ -36,6 +36,7 @@ INNER_UNITS = {
     "Sq": "mm",
     "force": "N",
     "pressure": "MPa",
+    "contact_area": "mm^2",
     "time": "s",
     "mean_removal": "mm",
     "tilt": "rad",
