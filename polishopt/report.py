@@ -4,6 +4,7 @@ Numbers are shown in the units of the trade, with the symbols of the papers besi
 words.
 """
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -197,18 +198,22 @@ def attribution_table(split: Attribution, first: str, second: str) -> Table:
         first: What the first job is called.
         second: What the second is.
     """
-    heads = ("", "unit", "first", "second", "difference", *split.effects)
-    title = f"From {first} (first) to {second} (second)"
-    table = empty_table(title, *heads)
+    table = empty_table(
+        f"From {first} (first)\nto {second} (second)",
+        *("", "first", "second", "change", *split.effects),
+    )
+    table.collapse_padding, table.pad_edge = True, False
     for i, name in enumerate(split.outcomes):
-        unit, meaning = OUTCOME_UNITS.get(name, ("", name))
+        unit = OUTCOME_UNITS.get(name, ("", ""))[0]
         ends = [from_internal(float(end[i]), unit) for end in (split.first, split.second)]
         shares = [from_internal(float(part), unit) for part in split.parts[i]]
+        # as many decimals for all, so that the shares are seen to add up
+        size = max(map(abs, ends))
+        digits = max(3 - math.floor(math.log10(size)), 0) if size > 0 else 0
         table.add_row(
-            meaning,
-            label(unit),
-            *(f"{value:.4g}" for value in ends),
-            *(f"{value:+.3g}" for value in (ends[1] - ends[0], *shares)),
+            f"{name.replace('_', ' ')} [{label(unit)}]" if unit else name,
+            *(f"{value:.{digits}f}" for value in ends),
+            *(f"{value:+.{digits}f}" for value in (ends[1] - ends[0], *shares)),
         )
     return table
 

@@ -18,7 +18,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..chain import Outcome, polish
+from ..chain import polish
+from ..mechanics import Mechanics
 from ..parts import Machine, Process
 from ..setup import Setup
 
@@ -93,7 +94,7 @@ def attribution(
     first: tuple[Process, Setup],
     second: tuple[Process, Setup],
     outcomes: Sequence[str] = OUTCOMES,
-    chain: Callable[[Process, Setup], Outcome] = polish,
+    chain: Callable[[Process, Setup], Mechanics] = polish,
 ) -> Attribution:
     """Why the second job comes out differently from the first.
 
@@ -108,13 +109,7 @@ def attribution(
         everything is exactly zero.
     """
     names = tuple(outcomes)
-
-    @eqx.filter_jit
-    def values(process, setup):
-        outcome = chain(process, setup)
-        return jnp.stack([getattr(outcome, name) for name in names])
-
-    one, two = played(values, *first), played(values, *second)
+    one, two = (played(names, chain, *job) for job in (first, second))
     game = {let_in: two[let_in] - one[let_in] for let_in in two}
     none, everything = frozenset(), frozenset(EFFECTS)
     orders = [contributions(game, EFFECTS, effect) for effect in EFFECTS]
@@ -130,13 +125,28 @@ def attribution(
     )
 
 
+@eqx.filter_jit
+def _values(
+    outcomes: tuple[str, ...],
+    chain: Callable[[Process, Setup], Mechanics],
+    process: Process,
+    setup: Setup,
+) -> Float[Array, " n"]:
+    done = chain(process, setup)
+    return jnp.stack([getattr(done, name) for name in outcomes])
+
+
 def played(
-    values: Callable[[Process, Setup], Float[Array, " n"]], process: Process, setup: Setup
+    outcomes: tuple[str, ...],
+    chain: Callable[[Process, Setup], Mechanics],
+    process: Process,
+    setup: Setup,
 ) -> dict[frozenset[str], Float[Array, " n"]]:
     """Outcomes of a job with each choice of effects let in, the others left out.
 
     Args:
-        values: The outcomes of a job.
+        outcomes: Their names.
+        chain: The model of the process.
         process: The settings.
         setup: The job; what it leaves out already stays out.
     """
@@ -152,7 +162,8 @@ def played(
         if key not in shaped:
             # axes without limits are other numbers, not another program to compile
             job = setup if "feed" in let_in else fast
-            shaped[key] = values(process, dataclasses.replace(job, idealised=left_out))
+            job = dataclasses.replace(job, idealised=left_out)
+            shaped[key] = _values(outcomes, chain, process, job)
         found[let_in] = shaped[key]
     return found
 
