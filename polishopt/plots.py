@@ -435,7 +435,8 @@ def sensitivities(
                 va="center",
                 color="white" if strong else "black",
             )
-    axes.set_xticks(np.arange(nx), [name.replace("_", " ") for name in columns])
+    slanted = {"rotation": 35, "ha": "right"} if nx > 7 else {}
+    axes.set_xticks(np.arange(nx), [n.replace("_", " ") for n in columns], **slanted)
     axes.set_yticks(np.arange(ny), [name.replace("_", " ") for name in rows])
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)

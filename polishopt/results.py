@@ -16,13 +16,19 @@ from . import plots, report, resolved
 from .chain import polish
 from .contact.pressure import patch
 from .files import assemble
-from .files.assemble import Job
+from .files.assemble import Job, PlanJob
 from .files.config import Loaded, optimum
 from .files.document import write_text
 from .files.results import write_json, write_maps, write_sensitivity
 from .files.schema import StepConfig
 from .files.topography import Topography, write as write_topography
-from .optimize.sensitivity import OUTCOMES, sensitivities
+from .optimize.sensitivity import (
+    OUTCOMES,
+    PLAN_OUTCOMES,
+    Sensitivity,
+    plan_sensitivities,
+    sensitivities,
+)
 from .optimize.tune import Tuning, Verdict
 from .parts import Abrasive, Process, Scalar
 from .setup import FINE, Setup
@@ -208,7 +214,24 @@ def write_sensitivities(job: Job, process: Process, target: Path) -> None:
         process: Around which settings.
         target: The folder; exists.
     """
-    matrix = _sensitivities(process, job.setup, OUTCOMES, _columns(job))
+    _write(_sensitivities(process, job.setup, OUTCOMES, _columns(job)), target)
+
+
+def write_plan_sensitivities(job: PlanJob, target: Path) -> None:
+    """The same for the finished surface of a plan, around its start.
+
+    Args:
+        job: The job; what it tunes are the columns, or else tilts and displacements.
+        target: The folder; exists.
+    """
+    names = tuple(job.between)
+    matrix = eqx.filter_jit(plan_sensitivities)(
+        job.processes, job.plan, PLAN_OUTCOMES, names
+    )
+    _write(matrix, target)
+
+
+def _write(matrix: Sensitivity, target: Path) -> None:
     write_sensitivity(target / "sensitivity.csv", matrix, INNER_UNITS)
     plots.save(
         plots.sensitivities(

@@ -17,15 +17,14 @@ def main(argv: list[str] | None = None) -> int:
     asked = begin(parser, argv)
     if isinstance(asked, int):
         return asked
-    if asked.loaded.steps:
-        if not asked.given.quiet:
-            print("A plan has no sensitivities of its own yet: take one of its steps.")
-        return 0
-    from .files.assemble import job as assemble
-    from .results import write_sensitivities
+    from .files.assemble import job as assemble, plan_job
+    from .results import write_plan_sensitivities, write_sensitivities
 
-    job = assemble(asked.loaded.config)
-    write_sensitivities(job, job.process, asked.target)
+    if asked.loaded.steps:
+        write_plan_sensitivities(plan_job(asked.loaded.steps), asked.target)
+    else:
+        job = assemble(asked.loaded.config)
+        write_sensitivities(job, job.process, asked.target)
     if not asked.given.quiet:
         print(*(asked.target / f"sensitivity.{kind}" for kind in ("csv", "png")), sep="\n")
     return 0

@@ -39,6 +39,8 @@ CONFIGS = Path(__file__).parent.parent / "configs"
 SMALL = ["guide.order=1", "part.size_mm=[40, 40]", "sampling.grid=12"]
 SMALL += ["sampling.phases=8", "texture.l_filter_mm=8"]
 REPEATS = 100
+# where the constants of the draws lie, in standard deviations of the priors
+TRUTH = (0.3, 0.6, 0.4, -0.7, 0.5, -0.4)
 K = "tool.foundation"
 
 
@@ -67,13 +69,13 @@ def bench(table):
     ]
     for tilt in (3, 5, 10, 15):
         rows += [f"{tilt},{e},,,1,,,,," for e in (0.3, 0.6, 0.9)]
-    for tilt, e in ((3, 0.2), (3, 0.5), (3, 0.8), (8, 0.3), (8, 0.6), (8, 0.9)):
+    for tilt, e in ((3, 0.2), (3, 0.6), (8, 0.3), (8, 0.8)):
         for step, passes in ((1, 1), (1, 6), (5, 3)):
             rows.append(f"{tilt},{e},{step},{passes},,1,1,1,0,3")
     made = job("plane", *SMALL)
     data = table("\n".join(rows), made)
     names = unknowns(data, made.setup)
-    point = jnp.asarray([0.3, 0.6, 0.4, -0.7, 0.5, -0.4])
+    point = jnp.asarray(TRUTH)
     middles = jnp.stack([part(made.setup, name) for name in names])
     values = constants(names, middles, point)
     return made.setup, data, names, values, with_constants(made.setup, values)
@@ -91,11 +93,18 @@ def test_a_run_followed_once_gives_what_polish_gives(table):
     predicted = exact(table)
     assert not eqx.tree_equal(truth.abrasive, setup.abrasive)
     process = jax.tree.map(lambda x: x[5], data.runs.process)
-    outcome = eqx.filter_jit(polish)(process, truth)
-    assert_close(predicted["removal"][5], outcome.mean_removal, rtol=1e-12)
-    for name in ("Sa", "Sq", "Ssk", "Sku"):
-        assert_close(predicted[name][5], getattr(outcome, name), rtol=1e-10)
-    assert outcome.parts[-1].k2 > 0.01 * outcome.Sq**2, "the ripple counts in this run"
+    names = ("Sa", "Sq", "Ssk", "Sku")
+
+    @eqx.filter_jit
+    def outcome(process, setup):
+        made = polish(process, setup)
+        texture = jnp.stack([getattr(made, name) for name in names])
+        return made.mean_removal, texture, made.parts[-1].k2
+
+    removal, texture, rippled = outcome(process, truth)
+    assert_close(predicted["removal"][5], removal, rtol=1e-12)
+    assert_close([predicted[name][5] for name in names], texture, rtol=1e-10)
+    assert rippled > 0.01 * texture[1] ** 2, "the ripple counts in this run"
 
 
 @pytest.fixture(scope="module")
@@ -133,19 +142,23 @@ def test_every_constant_is_recovered(repeats):
 
 def test_intervals_hold_what_they_promise(repeats):
     found, truth = repeats
-    inside = []
-    for i in range(REPEATS):
-        one = jax.tree.map(lambda x, i=i: x[i], found)
-        ends = intervals(one)
-        inside.append((ends[:, 0] <= truth) & (truth <= ends[:, 1]))
-        if i == 0:
-            assert rests_on(one) == ["data"] * len(found.names)
-            assert not left_open(one)
-            assert {(pair.first, pair.second) for pair in alike(one)} >= {
-                ("abrasive.active_fraction", "abrasive.hardness"),
-                ("abrasive.active_fraction", "abrasive.grain"),
-            }
-    share = np.mean(inside, axis=0)
+    one = jax.tree.map(lambda x: x[0], found)
+    ends, reach = intervals(one), quantiles(one) * jnp.sqrt(jnp.diag(one.covariance))
+    for i, sign in ((0, -1), (1, 1)):
+        for k, name in enumerate(one.names):
+            moved = one.point.at[k].add(sign * reach[k])
+            value = constants(one.names, one.before, moved)[name]
+            assert_close(ends[k, i], value, rtol=1e-12)
+    assert rests_on(one) == ["data"] * len(one.names)
+    assert not left_open(one)
+    assert {(pair.first, pair.second) for pair in alike(one)} >= {
+        ("abrasive.active_fraction", "abrasive.hardness"),
+        ("abrasive.active_fraction", "abrasive.grain"),
+    }
+    # on the scale of the priors, where an interval is as long to either side
+    away = np.abs(np.asarray(found.point) - np.asarray(TRUTH))
+    error = np.sqrt(np.asarray(jnp.diagonal(found.covariance, axis1=1, axis2=2)))
+    share = np.mean(away <= quantiles(found) * error, axis=0)
     assert share.min() >= 0.90, dict(zip(found.names, share, strict=True))
 
 
@@ -180,8 +193,8 @@ def test_known_errors_give_the_textbook_mean():
     weight = (force / error) ** 2
     total = weight.sum() + PRIORS[K].spread ** -2
     mean = (weight * np.log(force / here)).sum() / total
-    assert_close(jnp.log(found.values[0] / found.before[0]), mean, rtol=1e-8)
-    assert_close(found.errors[0] / found.values[0], total**-0.5, rtol=1e-8)
+    assert_close(jnp.log(found.values[0] / found.before[0]), mean, rtol=1e-6)
+    assert_close(found.errors[0] / found.values[0], total**-0.5, rtol=1e-6)
     assert math.isinf(float(found.freedom[0]))
     assert_close(quantiles(found)[0], 1.959964, rtol=1e-6)
 
@@ -210,7 +223,7 @@ def test_forces_at_one_displacement_cannot_tell_how_the_bed_stiffens():
 
 def test_removal_alone_knows_the_product_of_preston_and_foundation(table):
     made = job("plane", *SMALL)
-    rows = [f"{e},5,0.1" for e in np.linspace(0.2, 0.8, 18)]
+    rows = [f"{e},5,0.1" for e in np.linspace(0.2, 0.8, 12)]
     data = table("displacement_mm,removal_um,removal_error_um\n" + "\n".join(rows), made)
     assert unknowns(data, made.setup) == ("abrasive.preston",)
     found = calibrate(data, made.setup, ("abrasive.preston",))

@@ -115,7 +115,14 @@ def lay_of(key, directions):
     depth, worn = groove_depth(ABRASIVE, pressure), compression(ABRASIVE, pressure)
     extent = jnp.full(2, SIDE) * depth
     z = draw_patch(
-        key, ABRASIVE, pressure, 3 * worn, (POINTS,) * 2, extent, 768, directions=directions
+        key,
+        ABRASIVE,
+        pressure,
+        3 * worn,
+        (POINTS, POINTS),
+        extent,
+        768,
+        directions=directions,
     )
     return spatial_parameters(z, SIDE / POINTS)
 

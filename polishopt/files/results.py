@@ -74,7 +74,9 @@ def write_sensitivity(path: Path, matrix: Sensitivity, units: Mapping[str, str])
     lines = ["outcome,setting,value,derivative,unit,elasticity"]
     for i, outcome in enumerate(matrix.outcomes):
         for j, setting in enumerate(matrix.settings):
-            unit = f"{units.get(outcome, '1')}/({units.get(setting, '1')})"
+            # in a plan a setting follows the name of its step
+            word = setting.rpartition(" ")[2]
+            unit = f"{units.get(outcome, '1')}/({units.get(word, '1')})"
             lines.append(
                 f"{outcome},{setting},{float(matrix.values[i]):.9g},"
                 f"{float(matrix.derivatives[i, j]):.9g},{unit},"

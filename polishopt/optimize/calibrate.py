@@ -302,7 +302,7 @@ def calibrate(data: Data, setup: Setup, names: tuple[str, ...]) -> Calibration:
         """The least sum of squares near a point, and the slopes there."""
         found = optx.least_squares(
             residuals,
-            optx.LevenbergMarquardt(rtol=1e-9, atol=1e-9),
+            optx.LevenbergMarquardt(rtol=1e-7, atol=1e-7),
             point,
             args=scatter,
             max_steps=300,

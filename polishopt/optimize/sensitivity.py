@@ -16,7 +16,9 @@ from jaxtyping import Array, Float
 
 from ..chain import Outcome, polish
 from ..parts import Process
+from ..plan import Plan, PlanOutcome, follow
 from ..setup import Setup
+from .goals import applied, setting
 
 
 OUTCOMES = (
@@ -32,6 +34,7 @@ OUTCOMES = (
     "ripple",
 )
 SETTINGS = ("tilt", "displacement", "step", "trochoid_radius", "feed", "spin")
+PLAN_OUTCOMES = ("Ssk", "Sku", "Sa", "Sq", "time")
 # Outcomes whose change is given as it is, not relative to their size.
 PLAIN = ("Ssk", "Sku")
 
@@ -68,21 +71,61 @@ def sensitivities(
         settings: Names of fields of `Process`.
         chain: Another model of the process, of the same form as `polish`.
     """
+    # jitted like anywhere else, it is not traced again
+    chain = eqx.filter_jit(chain)
 
     def values(x):
         given = dict(zip(settings, x, strict=True))
-        # jitted like anywhere else, it is not traced again
-        outcome = eqx.filter_jit(chain)(dataclasses.replace(process, **given), setup)
-        reached = jnp.stack([getattr(outcome, name) for name in outcomes])
-        return reached, reached
+        outcome = chain(dataclasses.replace(process, **given), setup)
+        return jnp.stack([getattr(outcome, name) for name in outcomes])
 
     x = jnp.stack([getattr(process, name) for name in settings])
-    derivatives, reached = jax.jacfwd(values, has_aux=True)(x)
+    return _matrix(values, x, tuple(outcomes), tuple(settings))
+
+
+def plan_sensitivities(
+    processes: Sequence[Process],
+    plan: Plan,
+    outcomes: Sequence[str] = PLAN_OUTCOMES,
+    settings: Sequence[str] = (),
+) -> Sensitivity:
+    """How the finished surface and the whole time move with the settings of any step.
+
+    Args:
+        processes: The settings of each step.
+        plan: The jobs of the steps.
+        outcomes: "time" of all steps, or names of scalars of the last step's outcome.
+        settings: Each a step and a setting, `P600 tilt`; none: tilt and displacement of
+            every step.
+    """
+    jitted: Callable[..., PlanOutcome] = eqx.filter_jit(follow)
+    usual = [f"{name} {word}" for name in plan.names for word in ("tilt", "displacement")]
+    settings = settings or usual
+
+    def values(x):
+        given = applied(tuple(processes), plan.names, dict(zip(settings, x, strict=True)))
+        outcome = jitted(given, plan)
+        of = (outcome if name == "time" else outcome.last for name in outcomes)
+        reached = (getattr(one, name) for one, name in zip(of, outcomes, strict=True))
+        return jnp.stack(list(reached))
+
+    x = jnp.asarray([setting(tuple(processes), plan.names, name) for name in settings])
+    return _matrix(values, x, tuple(outcomes), tuple(settings))
+
+
+def _matrix(values, x, outcomes, settings) -> Sensitivity:
+    """Values, derivatives and elasticities of a function of settings."""
+
+    def twice(x):
+        reached = values(x)
+        return reached, reached
+
+    derivatives, reached = jax.jacfwd(twice, has_aux=True)(x)
     plain = jnp.asarray([name in PLAIN for name in outcomes])
     size = jnp.where(plain | (reached == 0), 1.0, reached)
     return Sensitivity(
-        outcomes=tuple(outcomes),
-        settings=tuple(settings),
+        outcomes=outcomes,
+        settings=settings,
         values=reached,
         derivatives=derivatives,
         elasticities=derivatives * x[None, :] / size[:, None],

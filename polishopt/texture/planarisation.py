@@ -84,14 +84,15 @@ def _contact(
         total = jnp.sum(jnp.where(above, height, 0.0)) - excess * height.size
         return jnp.maximum(total / count.astype(height.dtype), lowest)
 
-    def rises(levels):
-        return levels[1] > levels[0]
+    def rises(state):
+        count, before, level = state
+        return (count < 2) | (level > before)
 
-    def climb(levels):
-        return levels[1], newton(levels[1])
+    def climb(state):
+        count, _, level = state
+        return count + 1, level, newton(level)
 
-    first = newton(start)
-    _, level = jax.lax.while_loop(rises, climb, (first, newton(first)))
+    _, _, level = jax.lax.while_loop(rises, climb, (jnp.zeros((), int), start, start))
     return height >= level, level
 
 
