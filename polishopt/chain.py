@@ -13,8 +13,9 @@ from .setup import Setup, Start
 from .texture.areal import Cumulants, cumulants
 from .texture.evolution import Texture, combine
 from .texture.filters import gaussian_transmission, transmit, wavelengths
+from .texture.local import TextureMaps, rest_maps, scratch_maps, texture_maps
 from .texture.planarisation import asperity_stiffness, planarise
-from .texture.scratches import decay, decay_rate, groove_population
+from .texture.scratches import Population, decay, decay_rate, groove_population
 
 
 class Outcome(Mechanics):
@@ -37,6 +38,8 @@ class Outcome(Mechanics):
     this step's scratches, and of its ripple [mm^2, mm^3, mm^4]."""
     left: Start
     """The surface as the next step finds it."""
+    maps: TextureMaps | None = None
+    """The texture at every place, `[y, x]`; None unless the setup asks for it."""
 
 
 def polish(process: Process, setup: Setup) -> Outcome:
@@ -71,7 +74,8 @@ def finish(done: Mechanics, setup: Setup, start: Start) -> Outcome:
     old = Start(tuple(earlier), spacing=left.spacing).total
     parts = (rest, old, own.cumulants, done.waves.cumulants)
     texture: Texture = combine(*parts)
-    left = eqx.tree_at(lambda s: s.scratches, left, (*left.scratches, done.waves))
+    maps, places = local_texture(done, setup, start) if setup.local else (None, ())
+    left = Start((*left.scratches, done.waves), left.heights, left.spacing, places)
     return Outcome(
         **vars(done),
         Sa=texture.Sa,
@@ -82,7 +86,54 @@ def finish(done: Mechanics, setup: Setup, start: Start) -> Outcome:
         Sz_before=start.Sz,
         parts=parts,
         left=left,
+        maps=maps,
     )
+
+
+def local_texture(
+    done: Mechanics, setup: Setup, start: Start
+) -> tuple[TextureMaps, tuple[Population, ...]]:
+    """The texture that a step leaves at every place of the part.
+
+    Each place has its own removal and pressure, its own scratches of all grades, and as
+    much of the ripple as the tool comes by there, for which its removal stands. A height
+    map is worn place by place within one step; the next step of a plan finds it
+    everywhere as the mean place of this one leaves it.
+
+    Args:
+        done: From `mechanics`.
+        setup: The job.
+        start: The surface that the step finds.
+
+    Returns:
+        The maps, and the maps of all scratches and ripples that the next step finds.
+
+    Raises:
+        ValueError: if the step before had maps of another size.
+    """
+    abrasive, removal = setup.abrasive, done.removal
+    before = start.places or start.scratches
+    if start.places and start.places[0].k2.shape != removal.shape:
+        raise ValueError(
+            f"`sampling.pixels` is {removal.shape}, must be "
+            f"{start.places[0].k2.shape} as in the step before, for maps of texture."
+        )
+    scratches = scratch_maps(before, abrasive, removal, done.load)
+    some = done.mean_removal > 0
+    often = jnp.where(some, removal / jnp.where(some, done.mean_removal, 1.0), 0.0)
+    k2, k3, k4 = (k * often for k in done.waves)
+    width = jnp.broadcast_to(done.waves.width, removal.shape)
+    waves = eqx.tree_at(
+        lambda p: (p.k2, p.k3, p.k4, p.width), done.waves, (k2, k3, k4, width)
+    )
+    rest = ()
+    if start.heights is not None:
+        cutoff = setup.roughness_cutoff
+        rest = (
+            rest_maps(start.heights, start.spacing, abrasive, removal, done.load, cutoff),
+        )
+    found = texture_maps(setup.sampling.pixels, *rest, *scratches, waves)
+    return TextureMaps(**vars(found), evaluated=setup.evaluated), (*scratches, waves)
 
 
 def evolved(

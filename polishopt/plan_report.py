@@ -12,11 +12,11 @@ from .files.assemble import PlanJob
 from .files.config import Loaded, optimum
 from .files.document import write_text
 from .files.results import write_json, write_table
-from .optimize.goals import all_excesses, all_misses
+from .optimize.goals import all_excesses, all_misses, reached
 from .optimize.tune import Tuning, Verdict
 from .plan import PlanOutcome
 from .plots import save
-from .report import CLOSE, LIMIT_UNITS, answers, empty_table
+from .report import CLOSE, LIMIT_UNITS, answers, empty_table, missed
 from .results import versions
 from .units import from_internal, label, suffix
 
@@ -71,15 +71,13 @@ def verdict(job: PlanJob, outcome: PlanOutcome, tuning: Tuning | None) -> tuple[
     if broken:
         listed = ", ".join(f"{name} by {over}" for name, over in broken.items())
         return 3, f"Infeasible: these limits are exceeded: {listed}."
-    missed = {
+    off = {
         name: float(miss)
         for name, miss in all_misses(outcome, job.target).items()
         if abs(float(miss)) > 1e-3
     }
-    if tuning is not None and missed:
-        listed = ", ".join(
-            f"{name} by {abs(m):.3g} tolerances" for name, m in missed.items()
-        )
+    if tuning is not None and off:
+        listed = ", ".join(f"{name} by {abs(m):.3g} tolerances" for name, m in off.items())
         return (
             3,
             f"Infeasible: within the limits the target cannot be met. Missed: {listed}.",
@@ -125,13 +123,14 @@ def show(
         for name, goal in job.target.items():
             step, parameter = name.rsplit(" ", 1)
             unit = COLUMNS[parameter][0]
-            reached = getattr(outcome.steps[outcome.names.index(step)], parameter)
+            at = outcome.steps[outcome.names.index(step)]
+            found = float(reached(at, parameter, goal))
             goals.add_row(
-                name,
+                f"{name}, worst place" if goal.worst else name,
                 label(unit),
                 f"{from_internal(float(goal.value), unit):.4f}",
-                f"{from_internal(float(reached), unit):.4f}",
-                f"{float(tuning.misses[name]):+.2g}",
+                f"{from_internal(found, unit):.4f}",
+                f"{missed(tuning.misses, name, goal):+.2g}",
             )
         console.print(goals)
     console.print(verdict(job, outcome, tuning)[1])

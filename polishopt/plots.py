@@ -30,6 +30,7 @@ from .parts import AXES, Process
 from .path.surface import curvature, jacobian, normal
 from .resolved import Run
 from .setup import Setup
+from .texture.local import TextureMaps
 from .units import from_internal, label
 
 
@@ -258,6 +259,60 @@ def removal(depth: Float[Numbers, "ny nx"], size: Float[Numbers, "2"]) -> Figure
     through.legend(loc="upper right")
     _name(through, "x", "depth removed", "mm", unit)
     through.set_title("Profile along the dashed line")
+    return figure
+
+
+def texture_maps(
+    depth: Float[Numbers, "ny nx"],
+    maps: TextureMaps,
+    size: Float[Numbers, "2"],
+    margin: float,
+) -> Figure:
+    """Maps of removal, Sq, Ssk and Sku over the part.
+
+    Args:
+        depth: Depth removed, rows along y [mm].
+        maps: The texture at the same places.
+        size: Sides of the part along x and y [mm].
+        margin: How far inside the edges the worst place is looked for [mm].
+    """
+    width, height = (float(side) for side in size)
+    counts = np.asarray(maps.evaluated)
+    figure = Figure((11, 9.4), layout="constrained")
+    panels = figure.subplots(2, 2)
+    shown = (
+        ("depth removed", depth, "um"),
+        ("Sq", maps.Sq, "nm"),
+        ("Ssk", maps.Ssk, ""),
+        ("Sku", maps.Sku, ""),
+    )
+    for axes, (name, values, unit) in zip(panels.flat, shown, strict=True):
+        values = _shown(values, unit) if unit else np.asarray(values)
+        inside = values[counts]
+        image = axes.imshow(
+            values,
+            origin="lower",
+            extent=(0, width, 0, height),
+            cmap=MAP,
+            norm=Normalize(inside.min(), inside.max()),
+        )
+        axes.add_patch(
+            Rectangle(
+                (margin, margin),
+                width - 2 * margin,
+                height - 2 * margin,
+                fill=False,
+                edgecolor="white",
+                linestyle="--",
+            )
+        )
+        bracket = f"[{label(unit) or '-'}]"
+        figure.colorbar(
+            image, ax=axes, label=f"{name} {bracket}", shrink=0.85, extend="both"
+        )
+        _name(axes, "x", "y", "mm", "mm")
+        ends = f"{inside.min():.3g} to {inside.max():.3g} {label(unit)}".rstrip()
+        axes.set_title(f"{name}: {ends} inside the dashed line")
     return figure
 
 

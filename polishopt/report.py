@@ -4,6 +4,8 @@ Numbers are shown in the units of the trade, with the symbols of the papers besi
 words.
 """
 
+import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from rich.console import Console
@@ -14,9 +16,11 @@ from .files.assemble import NAMES, Job
 from .files.config import Loaded
 from .files.quantity import Tuned
 from .files.schema import StepConfig
+from .optimize.attribution import Attribution
 from .optimize.certificate import Status
+from .optimize.goals import Goal, band_names, reached
 from .optimize.tune import Tuning, Verdict
-from .parts import Process
+from .parts import Process, Scalar
 from .units import from_internal, label, suffix
 
 
@@ -48,6 +52,7 @@ OUTCOME_UNITS = {
     "force": ("N", "force, mean over time"),
     "force_max": ("N", "force, largest"),
     "pressure": ("MPa", "mean contact pressure"),
+    "contact_area": ("mm2", "contact area"),
     "effective_diameter": ("mm", "width wiped, D_eff"),
     "envelope": ("mm", "width of the strip, E"),
     "time": ("min", "time"),
@@ -93,10 +98,11 @@ def answers(tuning: Tuning, loaded: Loaded) -> dict[str, float]:
 def summary(outcome: Outcome, job: Job) -> str:
     """What the target asks for, as it is in an outcome."""
     shown = []
-    for name in job.target:
+    for name, goal in job.target.items():
         unit = OUTCOME_UNITS.get(name, ("", ""))[0]
-        value = from_internal(float(getattr(outcome, name)), unit)
-        shown.append(f"{name} = {value:.3f} {label(unit)}".rstrip())
+        value = from_internal(float(reached(outcome, name, goal)), unit)
+        there = " at the worst place" if goal.worst else ""
+        shown.append(f"{name} = {value:.3f} {label(unit)}".rstrip() + there)
     return ", ".join(shown)
 
 
@@ -118,6 +124,7 @@ def verdict(tuning: Tuning) -> str:
     missed = ", ".join(
         f"{name} by {abs(float(miss)):.3g} tolerances"
         for name, miss in tuning.misses.items()
+        if float(miss)
     )
     return (
         f"Infeasible: within the limits the target cannot be met. The nearest texture "
@@ -183,6 +190,34 @@ def empty_table(title: str, *columns: str) -> Table:
     return table
 
 
+def attribution_table(split: Attribution, first: str, second: str) -> Table:
+    """The difference of two jobs by effect, in the units of the trade.
+
+    Args:
+        split: The shares.
+        first: What the first job is called.
+        second: What the second is.
+    """
+    table = empty_table(
+        f"From {first} (first)\nto {second} (second)",
+        *("", "first", "second", "change", *split.effects),
+    )
+    table.collapse_padding, table.pad_edge = True, False
+    for i, name in enumerate(split.outcomes):
+        unit = OUTCOME_UNITS.get(name, ("", ""))[0]
+        ends = [from_internal(float(end[i]), unit) for end in (split.first, split.second)]
+        shares = [from_internal(float(part), unit) for part in split.parts[i]]
+        # as many decimals for all, so that the shares are seen to add up
+        size = max(map(abs, ends))
+        digits = max(3 - math.floor(math.log10(size)), 0) if size > 0 else 0
+        table.add_row(
+            f"{name.replace('_', ' ')} [{label(unit)}]" if unit else name,
+            *(f"{value:.{digits}f}" for value in ends),
+            *(f"{value:+.{digits}f}" for value in (ends[1] - ends[0], *shares)),
+        )
+    return table
+
+
 def _settings(tuning: Tuning, loaded: Loaded) -> Table:
     table = empty_table("Settings", "", "symbol", "unit", "start", "answer", "bounds", "")
     found = answers(tuning, loaded)
@@ -213,11 +248,23 @@ def _texture(tuning: Tuning, job: Job, scatter: Scatter) -> Table:
     for name, goal in job.target.items():
         unit = OUTCOME_UNITS.get(name, ("", ""))[0]
         aim = from_internal(float(goal.value), unit)
-        reached = from_internal(float(getattr(tuning.outcome, name)), unit)
-        miss = f"{float(tuning.misses[name]):+.2g}"
+        found = from_internal(float(reached(tuning.outcome, name, goal)), unit)
         error = f"{from_internal(scatter.errors[name], unit):.2g}"
-        table.add_row(name, label(unit), f"{aim:.4f}", f"{reached:.4f}", error, miss)
+        table.add_row(
+            f"{name}, worst place" if goal.worst else name,
+            label(unit),
+            f"{aim:.4f}",
+            f"{found:.4f}",
+            error,
+            f"{missed(tuning.misses, name, goal):+.2g}",
+        )
     return table
+
+
+def missed(misses: Mapping[str, Scalar], name: str, goal: Goal) -> float:
+    """How far a goal is missed, in tolerances; at the worst place, on its worse side."""
+    sides = band_names(name) if goal.worst else (name,)
+    return max((float(misses[side]) for side in sides), key=abs)
 
 
 def _limits(tuning: Tuning, job: Job) -> Table:

@@ -42,6 +42,7 @@ INNER_UNITS = {
     "Sq": "mm",
     "force": "N",
     "pressure": "MPa",
+    "contact_area": "mm^2",
     "time": "s",
     "mean_removal": "mm",
     "tilt": "rad",
@@ -50,6 +51,13 @@ INNER_UNITS = {
     "trochoid_radius": "mm",
     "feed": "mm/s",
     "spin": "rad/s",
+}
+# map of texture: its unit, and what it is
+TEXTURE_MAPS = {
+    "Sa": ("mm", "mean height of the texture at each place, estimated"),
+    "Sq": ("mm", "rms height of the texture at each place"),
+    "Ssk": ("1", "skewness of the texture at each place"),
+    "Sku": ("1", "kurtosis of the texture at each place"),
 }
 PAINTERS = 2  # pictures drawn at a time
 GROOVES = 4096  # most grooves in a drawn patch; the oldest have faded long before
@@ -93,8 +101,10 @@ def write(
         run = _run(process, setup, resolved.samples(process, setup))
         paint("path.png", plots.path, run, setup)
         paint("feed.png", plots.feed, run, process)
-        removal = np.asarray(_fine_removal(process, setup))
-        paint("removal.png", plots.removal, removal, size)
+        fine = _fine_maps(process, setup)
+        paint("removal.png", plots.removal, np.asarray(fine[0]), size)
+        margin = float(setup.margin)
+        paint("texture_maps.png", plots.texture_maps, *fine, size, margin)
         heights, extent = texture_patch(tuning, job, loaded.config)
         paint("texture.png", plots.texture, heights, extent, tuning.outcome)
         errors, _ = eqx.filter_jit(moment_errors)(jnp.asarray(heights))
@@ -104,7 +114,7 @@ def write(
             title += "; without what is left of the start surface"
         dy, dx = (extent / heights.shape).tolist()
         write_topography(target / "texture.x3p", Topography(heights, (dy, dx), title))
-        maps(tuning, _closely(setup), loaded, run, removal, heights, extent, target)
+        maps(tuning, _closely(setup), loaded, run, *fine, heights, extent, target)
         say("drawing the pictures")
         for picture in painted:
             picture.result()  # raises what it raised
@@ -124,7 +134,7 @@ def rehearse(job: Job) -> None:
         job: The job.
     """
     _sensitivities(job.process, job.setup, OUTCOMES, _columns(job))
-    _fine_removal(job.process, job.setup)
+    _fine_maps(job.process, job.setup)
 
 
 _run = eqx.filter_jit(resolved.run)
@@ -132,8 +142,10 @@ _sensitivities = eqx.filter_jit(sensitivities)
 
 
 @eqx.filter_jit
-def _fine_removal(process: Process, setup: Setup):
-    return polish(process, _closely(setup)).removal
+def _fine_maps(process: Process, setup: Setup):
+    """Maps of the removal [mm] and of the texture."""
+    done = polish(process, dataclasses.replace(_closely(setup), local=True))
+    return done.removal, done.maps
 
 
 def _closely(setup: Setup) -> Setup:
@@ -151,7 +163,7 @@ def numbers(tuning: Tuning, job: Job, loaded: Loaded, target: Path) -> None:
     outcome = {
         field.name: getattr(tuning.outcome, field.name)
         for field in dataclasses.fields(tuning.outcome)
-        if field.name not in ("removal", "load", "waves", "parts", "left")
+        if field.name not in ("removal", "load", "waves", "parts", "left", "maps")
     }
     names = ("start map", "earlier scratches", "scratches", "ripple")
     parts = {
@@ -283,8 +295,10 @@ def _drawn(key, abrasive, outcome, wavelength, grade, grade_pressure, extent, sh
     return heights + earlier * jnp.exp(-decay_rate(abrasive, pressure) * removal)
 
 
-def maps(tuning, setup, loaded, run, removal, heights, extent, target: Path) -> None:
-    """`maps.nc`: removal, contact footprint, texture patch, and the path with its feed."""
+def maps(
+    tuning, setup, loaded, run, removal, texture, heights, extent, target: Path
+) -> None:
+    """`maps.nc`: removal, texture, contact, a patch of texture, the path and its feed."""
     grid, law = setup.grid, run.law
     rows, columns = np.asarray(heights).shape
     flat = jnp.zeros((2, 2), dtype=grid.x.dtype)
@@ -295,6 +309,16 @@ def maps(tuning, setup, loaded, run, removal, heights, extent, target: Path) -> 
         "x": (("x",), grid.x, "mm", "place along x"),
         "y": (("y",), grid.y, "mm", "place along y"),
         "removal": (("y", "x"), removal, "mm", "depth removed, loops averaged"),
+        **{
+            name: (("y", "x"), getattr(texture, name), unit, meaning)
+            for name, (unit, meaning) in TEXTURE_MAPS.items()
+        },
+        "evaluated": (
+            ("y", "x"),
+            np.asarray(texture.evaluated).astype(np.int8),
+            "1",
+            "1 where the worst place is looked for, 0 nearer to an edge",
+        ),
         "patch_x": (
             ("patch_x",),
             (np.arange(columns) + 0.5) * extent[1] / columns,

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .contact.removal import Grid
 from .parts import Abrasive, Machine, Scalar, Tool, as_array, as_scalar
@@ -29,6 +29,10 @@ class Start(eqx.Module):
         converter=as_array, default_factory=lambda: jnp.ones(2)
     )
     """Distance of its points along y and x [mm]."""
+
+    places: tuple[Population, ...] = ()
+    """The same scratches and ripples at every place, as maps; empty where all places are
+    alike, or where nobody asks for maps."""
 
     @property
     def total(self) -> Cumulants:
@@ -90,6 +94,8 @@ class Setup(eqx.Module):
     """The texture before the step."""
     roughness_cutoff: Scalar = eqx.field(converter=as_scalar, default=jnp.inf)
     """Cut-off of the L-filter through which texture is seen [mm]; infinite for none."""
+    margin: Scalar = eqx.field(converter=as_scalar, default=0.0)
+    """How far inside the part's edges the worst place of the texture is looked for [mm]."""
     pulling: bool = eqx.field(static=True, default=True)
     """Whether the axis leans towards the feed or away from it."""
     lean: str = eqx.field(static=True, default="guide")
@@ -98,6 +104,8 @@ class Setup(eqx.Module):
     """Whether the part bends upwards anywhere; False saves half the work in contacts."""
     sampling: Sampling = eqx.field(default_factory=Sampling)
     """How finely averages are taken."""
+    local: bool = eqx.field(static=True, default=False)
+    """Whether the texture is worked out at every place of the part too."""
     idealised: tuple[str, ...] = eqx.field(static=True, default=())
     """What to leave out, to see what it does: "contact" takes the part as flat under the
     disc, "stretch" takes lengths and areas as those of the parameter plane, "feed" has
@@ -122,3 +130,13 @@ class Setup(eqx.Module):
     def grid(self) -> Grid:
         """The pixels of the removal map."""
         return Grid(jnp.zeros_like(self.size), self.size, self.sampling.pixels)
+
+    @property
+    def evaluated(self) -> Bool[Array, "ny nx"]:
+        """Which pixels lie far enough inside the edges for the worst place to count."""
+        grid = self.grid
+        inside = [
+            (at >= self.margin) & (at <= side - self.margin)
+            for at, side in ((grid.x, self.size[0]), (grid.y, self.size[1]))
+        ]
+        return inside[1][:, None] & inside[0][None, :]

@@ -119,6 +119,7 @@ def test_fit_leaves_every_file_and_no_half_ones(fitted):
         "contact.png",
         "removal.png",
         "texture.png",
+        "texture_maps.png",
     }
 
 

@@ -21,10 +21,11 @@ texture.planarisation texture.scratches texture.evolution texture.direction
 texture.local texture
 setup mechanics chain plan resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
-optimize.auglag optimize.goals optimize.tune optimize.sensitivity
+optimize.auglag optimize.goals optimize.tune optimize.sensitivity optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
-plots report results plan_report session fit sensitivity measure calibrate
+plots report results plan_report session fit sensitivity attribution measure
+calibrate
 texture.__main__
 """
 ORDER = FLOORS.split()

@@ -12,11 +12,11 @@ from polishopt.texture.evolution import combine
 from polishopt.texture.filters import gaussian_transmission, transmit, wavelengths
 from polishopt.texture.local import (
     between,
+    extremes,
     rest_maps,
     scratch_maps,
     slopes,
     texture_maps,
-    worst_deviation,
 )
 from polishopt.texture.planarisation import planarise
 from polishopt.texture.scratches import (
@@ -177,9 +177,8 @@ def test_scratches_place_by_place():
     assert_close(S(jax.tree.leaves(got)), S(jax.tree.leaves(want)))
 
 
-def test_the_worst_place():
-    values = S([[-0.5, -0.2], [0.3, -0.45]])
-    assert_close(worst_deviation(values, -0.4), 0.7)
-    assert_close(worst_deviation(values, S(0.1)), -0.6)
-    slope = jax.grad(lambda v: worst_deviation(v, 0.1))(values)
-    assert_close(slope, [[1.0, 0.0], [0.0, 0.0]])
+def test_extremes_of_the_places_that_count():
+    values, some = S([[-0.5, -0.2], [0.3, -0.45]]), S([[True, True], [False, True]])
+    assert_close(extremes(values, some), [-0.5, -0.2])
+    slope = jax.grad(lambda v: jnp.dot(S([1.0, 10.0]), jnp.stack(extremes(v, some))))
+    assert_close(slope(values), [[1.0, 10.0], [0.0, 0.0]])

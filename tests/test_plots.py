@@ -70,7 +70,7 @@ def outcome(**values):
     named = {field.name: jnp.asarray(jnp.nan) for field in dataclasses.fields(Outcome)}
     named |= {name: jnp.asarray(value) for name, value in values.items()}
     maps = {"removal": jnp.zeros((2, 2)), "load": jnp.zeros((2, 2))}
-    texture = {"waves": Population(), "parts": (), "left": Start()}
+    texture = {"waves": Population(), "parts": (), "left": Start(), "maps": None}
     return Outcome(**{**named, **maps, **texture})
 
 

@@ -41,6 +41,7 @@ def toy(process: Process, setup: Setup) -> Outcome:
         "waves": Population(),
         "parts": (),
         "left": Start(),
+        "maps": None,
     }
     rest = {field.name: jnp.zeros(()) for field in dataclasses.fields(Outcome)}
     fields: dict[str, Any] = rest | given

@@ -120,7 +120,7 @@ class Start(Section):
 
 
 class Target(Section):
-    """The texture to reach; a goal is a number or `{value, tolerance}`."""
+    """The texture to reach; a goal is a number or `{value, tolerance, at}`."""
 
     Ssk: Annotated[Goal, Aim("[-20, 20]", tolerance=0.05)]
     """Skewness of the heights: negative means plateaus with valleys."""

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from .. import setup as jobs
 from ..optimize.calibrate import Data
-from ..optimize.goals import Goal, Limits, PlanLimits
+from ..optimize.goals import Goal, Limits, PlanLimits, mapped
 from ..optimize.runs import followed, roughness_cumulants
 from ..parts import AXES, Abrasive, Machine, Process, Scalar, Tool, as_scalar
 from ..path.guide import hilbert, lines
@@ -34,6 +34,8 @@ NAMES = {"spindle": "spin"}
 # An earlier grade has polished for so long that its scratches are steady: removal in
 # units of its grains' diameter, far beyond the depth over which a scratch fades.
 LONG_AGO = 100.0
+# The margin of the worst place, where it is not given, in shorter sides of the part.
+MARGIN = 0.1
 # Points along y and x of a milled map: of one period of the cusps, or of five passes
 # tooth by tooth.
 SCALLOP_PIXELS = (64, 64)
@@ -86,6 +88,8 @@ def job(config: StepConfig, first: bool = True) -> Job:
     between = {k: v.between for k, v in settings.items() if isinstance(v, Tuned)}
     aims = internal(config.target) if config.target is not None else {}
     goals = {k: v for k, v in aims.items() if v is not None}
+    margin = internal(config.texture)["margin"]
+    target = {k: Goal(v.value, v.tolerance, v.at == "worst") for k, v in goals.items()}
     made = jobs.Setup(
         surface=surface(config, size),
         size=size,
@@ -95,6 +99,7 @@ def job(config: StepConfig, first: bool = True) -> Job:
         machine=machine(config),
         start=start(config) if first else jobs.Start(),
         roughness_cutoff=internal(config.texture)["l_filter"],
+        margin=MARGIN * min(config.part.size_mm) if margin is None else margin,
         pulling=config.guide.mode == "pulling",
         lean=config.guide.lean,
         concave=not (
@@ -104,10 +109,10 @@ def job(config: StepConfig, first: bool = True) -> Job:
         sampling=sampling(config),
     )
     return Job(
-        setup=made,
+        setup=mapped(made, target),
         process=Process(**begin),
         between=between,
-        target={k: Goal(v.value, v.tolerance) for k, v in goals.items()},
+        target=target,
         limits=limits(config),
     )
 
@@ -119,11 +124,13 @@ def plan_job(steps: Sequence[tuple[str, StepConfig]]) -> PlanJob:
         steps: Name and checked config of each.
     """
     made = [(name, job(config, first=i == 0)) for i, (name, config) in enumerate(steps)]
+    target = {f"{name} {k}": v for name, one in made for k, v in one.target.items()}
+    plan = Plan(tuple(name for name, _ in made), tuple(one.setup for _, one in made))
     return PlanJob(
-        plan=Plan(tuple(name for name, _ in made), tuple(one.setup for _, one in made)),
+        plan=mapped(plan, target),
         processes=tuple(one.process for _, one in made),
         between={f"{name} {k}": v for name, one in made for k, v in one.between.items()},
-        target={f"{name} {k}": v for name, one in made for k, v in one.target.items()},
+        target=target,
         limits=PlanLimits(tuple(one.limits for _, one in made)),
     )
 

@@ -108,6 +108,8 @@ def check(text: str, path: Path, overrides: Sequence[str] = ()) -> Loaded:
             if tuned:
                 sentence = "a plan that tunes settings needs a `target`"
                 problems.append(place.problem(("steps",), sentence, at_key=True))
+        if not problems:
+            problems += uneven(steps, place)
     else:
         config, wrong = checked(Config, data, place, excused)
         problems += wrong
@@ -146,6 +148,16 @@ def checked(
     except ValidationError as error:
         # a section whose preset is unknown lacks its keys for that reason alone
         return None, problems_in(error, data, place, excused)
+
+
+def uneven(steps: Sequence[tuple[str, StepConfig]], place: Located) -> list[Problem]:
+    """A sentence where maps of texture could not be handed from step to step."""
+    goals = [goal for _, one in steps for _, goal in one.target or () if goal is not None]
+    grids = {one.sampling.grid for _, one in steps}
+    if len(grids) == 1 or all(goal.at == "mean" for goal in goals):
+        return []
+    sentence = "a goal at the worst place needs the same `sampling.grid` in all steps"
+    return [place.problem(("steps",), sentence, at_key=True)]
 
 
 def no_such_presets(unknown: Sequence[tuple[Keys, Any]], place: Located) -> list[Problem]:
@@ -277,6 +289,7 @@ def described(config: StepConfig, measured: str = "") -> str:
     start = [key for key, value in config.start if value is not None]
     goals = [
         f"{word(key)} {goal.value:g} ± {goal.tolerance:g} {label(suffix(key))}".rstrip()
+        + (" at the worst place" if goal.at == "worst" else "")
         for key, goal in config.target or ()
         if goal is not None
     ]

@@ -2,14 +2,14 @@
 
 Three shapes occur. A plain number must lie in an interval. A tunable is a number (it
 stays fixed) or `{start, between: [low, high]}` (the optimiser moves it). A goal is a
-number or `{value, tolerance}`. The interval is written once, as people write it, and
+number or `{value, tolerance, at}`. The interval is written once, as people write it, and
 serves the check, the sentence that reports it and the JSON schema.
 """
 
 import math
 import re
 from dataclasses import dataclass
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import InitErrorDetails, PydanticCustomError, core_schema
@@ -175,6 +175,9 @@ class Goal(BaseModel):
     """The value to reach."""
     tolerance: Annotated[float, Between("(0, 1e6]")]
     """How near is near enough; it also weighs this goal against the others."""
+    at: Literal["mean", "worst"] = "mean"
+    """Mean: the texture at the mean removal is to have the value. Worst: the worst place of
+    the part is to lie within the tolerance."""
 
 
 @dataclass(frozen=True)
@@ -220,6 +223,11 @@ class Aim(Between):
                     **Between("(0, 1e6]").json(),
                     "description": f"How near is near enough; {close} if not given.",
                 },
+                "at": {
+                    "enum": ["mean", "worst"],
+                    "description": "Mean: the texture at the mean removal is to have the "
+                    "value. Worst: all places are to lie within the tolerance.",
+                },
             },
             "required": ["value"],
             "additionalProperties": False,
@@ -247,8 +255,8 @@ def internal(section: BaseModel) -> dict[str, Any]:
             ends = (to_internal(low, unit), to_internal(high, unit))
             return Tuned(start=to_internal(value.start, unit), between=ends)
         if isinstance(value, Goal):
-            inside = {key: to_internal(number, unit) for key, number in value}
-            return Goal(**inside)
+            near = to_internal(value.tolerance, unit)
+            return Goal(value=to_internal(value.value, unit), tolerance=near, at=value.at)
         return value
 
     result = {}

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ..optimize.attribution import Attribution
 from ..optimize.sensitivity import Sensitivity
 from .document import write_text
 
@@ -82,6 +83,29 @@ def write_sensitivity(path: Path, matrix: Sensitivity, units: Mapping[str, str])
                 f"{float(matrix.elasticities[i, j]):.9g}"
             )
     write_text(path, "\n".join(lines) + "\n")
+
+
+def write_attribution(path: Path, split: Attribution, units: Mapping[str, str]) -> None:
+    """Shares of a difference as a CSV table, one row per outcome and effect.
+
+    Args:
+        path: Where to.
+        split: The shares.
+        units: Inner unit of each outcome.
+    """
+    rows = [
+        [
+            outcome,
+            units.get(outcome, "1"),
+            effect,
+            *(float(end[i]) for end in (split.first, split.second)),
+            *(float(part[i, j]) for part in (split.parts, split.least, split.most)),
+        ]
+        for i, outcome in enumerate(split.outcomes)
+        for j, effect in enumerate(split.effects)
+    ]
+    heads = ["outcome", "unit", "effect", "first", "second", "share", "least", "most"]
+    write_table(path, heads, rows)
 
 
 def write_maps(

@@ -29,6 +29,9 @@ class Texture(Section):
 
     l_filter_mm: Annotated[float, Between("(0, 100]")] = 0.8
     """Cut-off of the roughness filter (L-filter): longer waves do not count."""
+    margin_mm: Annotated[float, Between("[0, 1e4]")] | None = None
+    """How far inside the edges of the part its worst place is looked for; left out, a
+    tenth of the shorter side. Nearer to an edge the tool comes by less often."""
     patch_mm: Annotated[float, Between("(0, 100]")] | None = None
     """Side of the drawn patch of texture; left out, a mean groove is 8 pixels wide."""
     patch_pixels: Annotated[int, Between("[16, 4096]")] = 512
@@ -152,6 +155,14 @@ class StepConfig(Section):
                 f"must be above {y / x:.4g}: lines of {x:g} mm cannot turn in {y:g} mm"
             )
             reject((("guide", "count"), sentence, self.guide.count))
+        return self
+
+    @model_validator(mode="after")
+    def _margin_leaves_a_part(self):
+        margin, most = self.texture.margin_mm, 0.4 * min(self.part.size_mm)
+        if margin is not None and margin > most:
+            sentence = f"must not exceed two fifths of the shorter side, {most:g} mm"
+            reject((("texture", "margin_mm"), sentence, margin))
         return self
 
     def tuned(self) -> dict[str, Tuned]:

@@ -4,25 +4,39 @@ In a plan, a setting, a goal or a limit carries the name of its step: `P600 tilt
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from ..chain import Outcome
 from ..parts import Process, Scalar, as_scalar
-from ..plan import PlanOutcome
+from ..plan import Plan, PlanOutcome
+from ..setup import Setup
+from ..texture.local import extremes
 
 
 SETTINGS = tuple(field.name for field in dataclasses.fields(Process))
 
 
 class Goal(eqx.Module):
-    """One texture parameter to reach."""
+    """One texture parameter to reach.
+
+    The texture at the mean removal and pressure of the part can meet a value exactly. All
+    places of a part together cannot: there the goal is a band, the value and its tolerance
+    to either side, in which the worst place must lie.
+    """
 
     value: Scalar = eqx.field(converter=as_scalar)
     """The target, in the unit of the parameter."""
     tolerance: Scalar = eqx.field(converter=as_scalar)
     """What counts as one unit of miss, in the same unit."""
+    worst: bool = eqx.field(static=True, default=False)
+    """Whether the worst place of the part must lie within the tolerance."""
+
+
+Job = TypeVar("Job", bound=Setup | Plan)
 
 
 class Limits(eqx.Module):
@@ -82,14 +96,101 @@ def excesses(outcome: Outcome, limits: Limits) -> dict[str, Scalar]:
 def misses(outcome: Outcome, target: Mapping[str, Goal]) -> dict[str, Scalar]:
     """How far each goal is missed, in units of its tolerance.
 
+    A goal at the worst place has two: `Ssk lowest`, how far the lowest value of the part
+    lies below the band, which is not positive, and `Ssk highest`, how far the highest one
+    lies above it. Both are zero where all places lie within the tolerance.
+
     Args:
         outcome: What the process does.
         target: Goals by the name of a texture parameter of the outcome.
+
+    Raises:
+        ValueError: if a goal is at the worst place and the outcome has no maps.
     """
-    return {
-        name: (getattr(outcome, name) - goal.value) / goal.tolerance
-        for name, goal in target.items()
-    }
+    found = {}
+    for name, goal in target.items():
+        if goal.worst:
+            left = bands(outcome, {name: goal})
+            signed = zip(left.items(), (-1.0, 1.0), strict=True)
+            found |= {end: sign * jnp.maximum(band, 0.0) for (end, band), sign in signed}
+        else:
+            found[name] = (getattr(outcome, name) - goal.value) / goal.tolerance
+    return found
+
+
+def band_names(name: str) -> tuple[str, str]:
+    """What the two ends of the band of a goal at the worst place are called."""
+    return f"{name} lowest", f"{name} highest"
+
+
+def bands(outcome: Outcome, target: Mapping[str, Goal]) -> dict[str, Scalar]:
+    """How far the part leaves the bands of the goals at the worst place, in tolerances.
+
+    Args:
+        outcome: What the process does.
+        target: Goals; those at the mean have no band.
+
+    Returns:
+        `Ssk lowest` and `Ssk highest`, negative as long as all places lie in the band.
+
+    Raises:
+        ValueError: if the outcome has no maps.
+    """
+    found = {}
+    for name, goal in target.items():
+        if goal.worst:
+            low, high = (
+                (value - goal.value) / goal.tolerance for value in ends(outcome, name)
+            )
+            found |= dict(zip(band_names(name), (-low - 1.0, high - 1.0), strict=True))
+    return found
+
+
+def ends(outcome: Outcome, name: str) -> tuple[Scalar, Scalar]:
+    """The lowest and the highest value over the part, without its margin.
+
+    Args:
+        outcome: What the process does.
+        name: Of a texture parameter.
+
+    Raises:
+        ValueError: if the outcome has no maps.
+    """
+    if outcome.maps is None:
+        raise ValueError(
+            f"the goal `{name}` is at the worst place, which needs maps: use a setup "
+            f"with `local=True`."
+        )
+    return extremes(getattr(outcome.maps, name), outcome.maps.evaluated)
+
+
+def reached(outcome: Outcome, name: str, goal: Goal) -> Scalar:
+    """What a goal looks at: the texture of the mean place, or that of the worst.
+
+    Args:
+        outcome: What the process does.
+        name: Of a texture parameter.
+        goal: The goal for it.
+    """
+    if not goal.worst:
+        return getattr(outcome, name)
+    low, high = ends(outcome, name)
+    return jnp.where(high - goal.value > goal.value - low, high, low)
+
+
+def mapped(job: Job, target: Mapping[str, Goal]) -> Job:
+    """The job, with maps of texture if a goal needs them.
+
+    Args:
+        job: The setup, or a plan of several.
+        target: The goals.
+    """
+    if not any(goal.worst for goal in target.values()):
+        return job
+    if isinstance(job, Plan):
+        setups = tuple(dataclasses.replace(setup, local=True) for setup in job.setups)
+        return Plan(job.names, setups)
+    return dataclasses.replace(job, local=True)
 
 
 class PlanLimits(eqx.Module):
@@ -119,14 +220,31 @@ def all_misses(
     outcome: Outcome | PlanOutcome, target: Mapping[str, Goal]
 ) -> dict[str, Scalar]:
     """`misses` of a step, or of the goals `P600 Ssk` and the like of a plan."""
-    if isinstance(outcome, PlanOutcome):
-        steps = dict(zip(outcome.names, outcome.steps, strict=True))
-        found = {}
-        for name, goal in target.items():
-            step, parameter = name.rsplit(" ", 1)
-            found[name] = misses(steps[step], {parameter: goal})[parameter]
-        return found
-    return misses(outcome, target)
+    return _everywhere(misses, outcome, target)
+
+
+def all_bands(
+    outcome: Outcome | PlanOutcome, target: Mapping[str, Goal]
+) -> dict[str, Scalar]:
+    """`bands` of a step, or of the goals `P600 Ssk` and the like of a plan."""
+    return _everywhere(bands, outcome, target)
+
+
+def _everywhere(
+    found: Callable[[Outcome, Mapping[str, Goal]], dict[str, Scalar]],
+    outcome: Outcome | PlanOutcome,
+    target: Mapping[str, Goal],
+) -> dict[str, Scalar]:
+    """What is found of an outcome, or of the steps of a plan, in the order of the goals."""
+    if not isinstance(outcome, PlanOutcome):
+        return found(outcome, target)
+    steps = dict(zip(outcome.names, outcome.steps, strict=True))
+    split = [(*name.rpartition(" "), goal) for name, goal in target.items()]
+    return {
+        f"{step} {part}": value
+        for step, _, parameter, goal in split
+        for part, value in found(steps[step], {parameter: goal}).items()
+    }
 
 
 def setting(process: Process | Sequence[Process], names: Sequence[str], name: str) -> float:

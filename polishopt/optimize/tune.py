@@ -31,10 +31,13 @@ from .goals import (
     Goal as Goal,
     Limits as Limits,
     PlanLimits as PlanLimits,
+    all_bands,
     all_excesses,
     all_misses,
     applied,
+    band_names,
     excesses as excesses,
+    mapped,
     misses as misses,
     setting,
 )
@@ -158,13 +161,19 @@ def _search(places, lower, upper, stage: _Stage, secondary, tolerance, chain) ->
         outcome = chain(given, stage.setup)
         missed = all_misses(outcome, stage.target)
         exact = jnp.where(stage.weight > 0, 1.0, 0.0)
+        left = all_bands(outcome, stage.target)
         return Values(
             residual=(
                 jnp.stack(list(missed.values())) * (1 - exact),
                 stage.weight * _cost(outcome, secondary) / stage.unit,
             ),
-            inequality=all_excesses(outcome, stage.limits),
-            equality={name: miss * exact for name, miss in missed.items()},
+            inequality={
+                **all_excesses(outcome, stage.limits),
+                **{name: band * exact for name, band in left.items()},
+            },
+            equality={
+                name: miss * exact for name, miss in missed.items() if name not in left
+            },
         )
 
     return jax.vmap(
@@ -208,6 +217,17 @@ def _put(values, where, new):
     values = np.array(values)
     values[where] = new
     return values
+
+
+def _far(held: Solution, target: Mapping[str, Goal]):
+    """Largest miss of a goal at each end of the second stage, in tolerances."""
+    rows = []
+    for name, goal in target.items():
+        if goal.worst:
+            rows += [np.maximum(held.inequality[band], 0.0) for band in band_names(name)]
+        else:
+            rows.append(np.abs(held.equality[name]))
+    return np.max(rows, axis=0)
 
 
 def _steps(setup: Setup | Plan) -> tuple[str, ...]:
@@ -292,6 +312,7 @@ def tune(
     """
     steps = _steps(setup)
     begin = start if isinstance(start, Process) else tuple(start)
+    setup = mapped(setup, target)
     first = {name: setting(begin, steps, name) for name in between}
     for name, (low, high) in between.items():
         if not low <= first[name] <= high:
@@ -349,7 +370,7 @@ def tune(
         cheapest = np.argsort(np.where(hit, cost, np.inf))[: min(CHEAPEST, hit.sum())]
         say(f"looking for the least {secondary} from the {len(cheapest)} cheapest answers")
         held = search({n: x[cheapest] for n, x in final.x.items()}, jnp.ones_like(unit))
-        far = np.max(np.abs(list(held.equality.values())), axis=0)
+        far = _far(held, target)
         good = (held.status == Status.SOLVED) & (far <= HIT)
         work = held.evaluations + final.evaluations[cheapest]
         held = eqx.tree_at(lambda solution: solution.evaluations, held, work)
@@ -375,15 +396,22 @@ def tune(
         verdict = Verdict.INFEASIBLE
     # half the square of a cost c has the gradient c dc: divide it out again
     share = float(unit) / max(float(answer.residual[1]), 1e-12) if at_cost else 1.0
-    held_by = answer.equality_multipliers
+    worth = jax.tree.map(lambda m: m * share, answer.inequality_multipliers)
     missed, exceeded = all_misses(reached, target), all_excesses(reached, limits)
+
+    def moved(name: str, goal: Goal) -> Scalar:
+        if not goal.worst:
+            return -answer.equality_multipliers[name] * share
+        low, high = (worth[band] for band in band_names(name))
+        return low - high
+
     return Tuning(
         process=process,
         outcome=reached,
         misses=missed,
         excesses=exceeded,
-        multipliers=jax.tree.map(lambda m: m * share, answer.inequality_multipliers),
-        goal_multipliers={name: -held_by[name] * share for name in target},
+        multipliers={name: worth[name] for name in exceeded},
+        goal_multipliers={name: moved(name, goal) for name, goal in target.items()},
         bound_multipliers=jax.tree.map(lambda m: m * share, answer.bound_multipliers),
         kkt=answer.kkt,
         violation=answer.violation,

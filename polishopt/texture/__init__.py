@@ -53,10 +53,11 @@ from .lay import (
     texture_direction as texture_direction,
 )
 from .local import (
+    TextureMaps as TextureMaps,
+    extremes as extremes,
     rest_maps as rest_maps,
     scratch_maps as scratch_maps,
     texture_maps as texture_maps,
-    worst_deviation as worst_deviation,
 )
 from .marks import milled_marks as milled_marks
 from .milling import (

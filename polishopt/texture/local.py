@@ -7,10 +7,11 @@ the skewness and the kurtosis are followed by monotone cubics, whose slopes are 
 where everything touches, all three are straight lines.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..parts import Abrasive, Scalar
 from .areal import Cumulants, cumulants, parameters_from_cumulants
@@ -185,6 +186,21 @@ def scratch_maps(
     return jax.vmap(jax.vmap(at))(removal, pressure, before)
 
 
+class TextureMaps(eqx.Module):
+    """Height parameters at every place of a part."""
+
+    Sa: Map
+    """Mean absolute height, estimated [mm]."""
+    Sq: Map
+    """Root mean square height [mm]."""
+    Ssk: Map
+    """Skewness [-]."""
+    Sku: Map
+    """Kurtosis [-]."""
+    evaluated: Bool[Array, "ny nx"]
+    """Which places count where the worst one is looked for."""
+
+
 def texture_maps(shape: tuple[int, int], *parts: Cumulants | Population) -> Texture:
     """Maps of Sa, Sq, Ssk and Sku of a sum of independent parts.
 
@@ -197,12 +213,12 @@ def texture_maps(shape: tuple[int, int], *parts: Cumulants | Population) -> Text
     return jax.vmap(jax.vmap(lambda p: combine(*p)))(spread)
 
 
-def worst_deviation(values: Map, target: Scalar | float) -> Scalar:
-    """Deviation from a target where it is largest in size; above the target positive.
+def extremes(values: Map, evaluated: Bool[Array, "ny nx"]) -> tuple[Scalar, Scalar]:
+    """The lowest and the highest value of a map among the places that count.
 
     Args:
         values: Something at every place.
-        target: What it should be, in the same unit.
+        evaluated: Which places count, one at least.
     """
-    deviation = (values - target).ravel()
-    return deviation[jnp.argmax(jnp.abs(deviation))]
+    lowest = jnp.min(jnp.where(evaluated, values, jnp.inf))
+    return lowest, jnp.max(jnp.where(evaluated, values, -jnp.inf))
