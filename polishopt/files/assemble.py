@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 
 from .. import setup as jobs
+from ..constants import START, roughness_cumulants
 from ..optimize.calibrate import Data
 from ..optimize.goals import Goal, Limits, PlanLimits
-from ..optimize.runs import followed, roughness_cumulants
+from ..optimize.runs import followed
 from ..parts import AXES, Abrasive, Machine, Process, Scalar, Tool, as_scalar
 from ..path.guide import hilbert, lines
 from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
