@@ -9,8 +9,6 @@ import dataclasses
 import re
 from collections.abc import Mapping
 
-import jax.numpy as jnp
-
 from .parts import Abrasive, Scalar, Tool
 from .setup import Setup
 from .texture.areal import parameters_from_cumulants

@@ -8,7 +8,6 @@ otherwise its scatter is estimated with the constants (each kind of measurement 
 its own), and intervals are those of Student's t.
 """
 
-import dataclasses
 import math
 from typing import NamedTuple
 
