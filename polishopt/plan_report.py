@@ -32,6 +32,7 @@ from .results import spread_numbers, versions
 from .units import from_internal, label, suffix
 
 
+LAST = "Spread from constants, last step"
 # outcome of a step: unit in which it is shown, and what it is
 COLUMNS = {
     "time": ("min", "time"),
@@ -123,7 +124,7 @@ def show(
     if spreads:
         console.print(spreads_table(outcome, spreads))
         console.print(INDEPENDENT)
-        console.print(spread_table(spreads[-1], "Spread from constants, last step"))
+        console.print(spread_table(spreads[-1], outcome.last, LAST))
     if tuning is not None:
         table = empty_table("Tuned", "", "unit", "answer", "bounds")
         bounds = {

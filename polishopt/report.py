@@ -4,6 +4,8 @@ Numbers are shown in the units of the trade, with the symbols of the papers besi
 words.
 """
 
+import math
+import re
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -73,7 +75,7 @@ OUTCOME_UNITS = {
 SPREAD_UNITS = {
     "Ssk": ("", "skewness"),
     "Sku": ("", "kurtosis"),
-    "unstick_margin": ("N", "force left before unsticking"),
+    "unstick_margin": ("N", "force left to unsticking"),
     "shear_margin": ("MPa", "shear stress left"),
     **OUTCOME_UNITS,
 }
@@ -196,10 +198,12 @@ def show(
         console.print(f"± is {patch}.")
     else:
         console.print(f"± patch is {patch}, ± constants what their errors make of it.")
-    console.print(_limits(tuning, job, spread))
+    console.print(_limits(tuning, spread))
+    if held_back := chance(job.limits):
+        console.print(held_back)
     console.print(_outcomes(tuning))
     if spread is not None:
-        console.print(spread_table(spread))
+        console.print(spread_table(spread, tuning.outcome))
         console.print(INDEPENDENT)
     count = tuning.statuses.shape[0]
     ended = int((tuning.statuses == Status.SOLVED).sum())
@@ -268,33 +272,46 @@ def deviations(spread: Spread | None) -> dict[str, float]:
     return dict(zip(spread.outcomes, spread.deviations.tolist(), strict=True))
 
 
-def spread_table(spread: Spread, title: str = "Spread from constants") -> Table:
+def short(constant: str) -> str:
+    """A constant in a few words: `foundation`, `unstick forces[0]`, `Sq before`."""
+    name = re.sub(r"start\.roughness\.(\w+)", r"\1 before", constant)
+    return re.sub(r"(tool|abrasive)\.", "", name).replace("_", " ")
+
+
+def spread_table(
+    spread: Spread, outcome: Outcome, title: str = "Spread from constants"
+) -> Table:
     """How far outcomes scatter with the errors of constants, and with which most."""
-    table = empty_table(title, "", "unit", "±", "share of the variance")
-    table.columns[-1].justify = "left"
-    shares = np.asarray(spread.shares)
-    for name, error, row in zip(
-        spread.outcomes, spread.deviations.tolist(), shares, strict=True
-    ):
+    table = empty_table(title, "", "unit", "value", "±", "share of the variance")
+    table.columns[-1].justify, table.columns[-1].no_wrap = "left", False
+    errors, shares = spread.deviations.tolist(), np.asarray(spread.shares)
+    for name, error, row in zip(spread.outcomes, errors, shares, strict=True):
         unit, meaning = SPREAD_UNITS[name]
+        value = from_internal(float(getattr(outcome, name)), unit)
+        if not error or math.isinf(value):
+            continue  # depends on no uncertain constant, or there is no such limit
         largest = [i for i in np.argsort(-row, kind="stable") if row[i] >= LEAST_SHARE]
-        listed = ", ".join(f"{spread.constants[i]} {100 * row[i]:.0f} %" for i in largest)
-        shown = f"{from_internal(error, unit):.2g}" if error else "0"
-        table.add_row(meaning, label(unit), shown, listed)
+        names = [f"{short(spread.constants[i])} {100 * row[i]:.0f} %" for i in largest]
+        shown = f"{from_internal(error, unit):.2g}"
+        table.add_row(meaning, label(unit), f"{value:.4g}", shown, ", ".join(names))
     return table
 
 
 def chance(limits: Limits) -> str:
-    """The chance to come unstuck that is allowed, in words; '' if none is."""
+    """What is held back for a chance to come unstuck, in a sentence; '' for nothing."""
     if limits.unstick_quantile is None:
         return ""
-    return f"{100 * NormalDist().cdf(-float(limits.unstick_quantile)):.3g} %"
+    quantile = float(limits.unstick_quantile)
+    return (
+        f"Unstick force: left after {quantile:.3g} standard deviations, for a chance of "
+        f"{100 * NormalDist().cdf(-quantile):.3g} % to come unstuck."
+    )
 
 
-def _limits(tuning: Tuning, job: Job, spread: Spread | None) -> Table:
+def _limits(tuning: Tuning, spread: Spread | None) -> Table:
     errors = () if spread is None else ("± constants",)
     table = empty_table("Limits", "", "unit", "left", *errors, "", "one unit more is worth")
-    induced, odds = deviations(spread), chance(job.limits)
+    induced = deviations(spread)
     solved = int(tuning.verdict) == Verdict.SOLVED
     for name, excess in tuning.excesses.items():
         unit = LIMIT_UNITS[name]
@@ -303,12 +320,9 @@ def _limits(tuning: Tuning, job: Job, spread: Spread | None) -> Table:
         active = multiplier > 1e-9
         gain = multiplier / from_internal(1.0, unit)
         worth = f"{gain:.3g} s" if solved else f"{gain:.3g} of the miss"
-        shown = name
-        if odds and name in ("unstick force", "adhesive shear"):
-            shown = f"{name}, all but {odds}"
         error = induced.get(LIMITED.get(name, ""), 0.0)
         table.add_row(
-            shown,
+            name,
             label(unit),
             f"{left:.4g}",
             *(f"{from_internal(error, unit):.2g}" if error else "" for _ in errors),

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..chain import Outcome, polish
@@ -91,25 +92,27 @@ def spread(
     )
 
 
-def one_by_one(plan: Plan) -> dict[str, dict[int, str]]:
-    """The uncertain constants of a plan: for each the steps that have it, and its name.
+def one_by_one(plan: Plan) -> dict[str, tuple[int, ...]]:
+    """The uncertain constants of a plan, each with the steps that have it.
 
-    A constant of the same name, value and error in several steps is one: what is wrong
-    with it in one step is as wrong in the others. All others are independent.
+    Steps whose tool is the same in every number have the same tool, so that what is wrong
+    with its constants in one step is as wrong in the others; abrasives likewise. All else
+    is independent. A name that stands for several constants gets their steps in front.
 
     Args:
-        plan: The jobs of the steps, with concrete errors.
+        plan: The jobs of the steps, with concrete numbers.
     """
-    found: dict[tuple[str, float, float], dict[int, str]] = {}
+    found: dict[tuple, list[int]] = {}
     for i, setup in enumerate(plan.setups):
         for name, error in setup.errors.items():
-            same = (name, float(part(setup, name)), float(error))
-            found.setdefault(same, {})[i] = name
+            noun = getattr(setup, name.partition(".")[0])
+            numbers = (np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(noun))
+            found.setdefault((name, float(error), *numbers), []).append(i)
     result = {}
     for (name, *_), steps in found.items():
         alone = sum(other == name for other, *_ in found) == 1
         where = ", ".join(plan.names[i] for i in steps)
-        result[name if alone else f"{where} {name}"] = steps
+        result[name if alone else f"{where} {name}"] = tuple(steps)
     return result
 
 
@@ -130,22 +133,22 @@ def plan_spread(
         chain: Another model of the process, of the same form as `plan.follow`.
     """
     uncertain = one_by_one(plan)
-    first = [next(iter(steps.items())) for steps in uncertain.values()]
-    values = jnp.stack([part(plan.setups[i], name) for i, name in first])
-    errors = jnp.stack([plan.setups[i].errors[name] for i, name in first])
-    places = tuple(tuple(steps.items()) for steps in uncertain.values())
+    places = tuple((name.split()[-1], steps) for name, steps in uncertain.items())
+    first = [(name, plan.setups[steps[0]]) for name, steps in places]
+    values = jnp.stack([part(setup, name) for name, setup in first])
+    errors = jnp.stack([setup.errors[name] for name, setup in first])
     slopes = _plan_slopes(values, tuple(processes), plan, places, tuple(outcomes), chain)
     return tuple(Spread(tuple(outcomes), tuple(uncertain), errors, rows) for rows in slopes)
 
 
 @eqx.filter_jit
 def _plan_slopes(values, processes, plan: Plan, places, outcomes, chain):
-    """Derivatives of the outcomes of each step by all constants."""
+    """Derivatives `[step, outcome, constant]` of the outcomes by all constants."""
 
     def reached(values):
         mine: list[dict[str, Scalar]] = [{} for _ in plan.setups]
-        for value, steps in zip(values, places, strict=True):
-            for i, name in steps:
+        for value, (name, steps) in zip(values, places, strict=True):
+            for i in steps:
                 mine[i][name] = value
         made = map(with_constants, plan.setups, mine)
         done = chain(processes, Plan(plan.names, tuple(made)))
