@@ -80,9 +80,10 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     from . import results
 
     with told.status("drawing"):
-        scatter = results.write(tuning, job, loaded, target, say)
+        spread = results.spread_of(tuning.process, job)
+        scatter = results.write(tuning, job, loaded, target, say, spread)
     say(f"results are in {target}")
-    report.show(console, tuning, job, loaded, scatter)
+    report.show(console, tuning, job, loaded, scatter, spread)
     return int(tuning.verdict)
 
 
@@ -100,6 +101,7 @@ def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     from . import plan_report
     from .files.assemble import plan_job
     from .optimize.tune import tune
+    from .optimize.uncertainty import plan_spread
     from .plan import follow
 
     told, console = Console(stderr=True, quiet=quiet), Console(quiet=quiet)
@@ -131,10 +133,15 @@ def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     else:
         with told.status(f"following {len(loaded.steps)} steps"):
             outcome = eqx.filter_jit(follow)(job.processes, job.plan)
+    spreads = ()
+    if any(job.errors):
+        with told.status("carrying the errors of the constants"):
+            settings = job.processes if tuning is None else tuning.process
+            spreads = plan_spread(settings, job.plan)
     with told.status("writing"):
-        plan_report.write(target, job, outcome, loaded, tuning)
+        plan_report.write(target, job, outcome, loaded, tuning, spreads)
     say(f"results are in {target}")
-    plan_report.show(console, job, outcome, loaded, tuning)
+    plan_report.show(console, job, outcome, loaded, tuning, spreads)
     return plan_report.verdict(job, outcome, tuning)[0]
 
 

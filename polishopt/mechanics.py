@@ -29,6 +29,7 @@ from .contact.ripple import Ripple, ripple
 from .machine.feed import Limits
 from .machine.kinematics import inverse
 from .machine.loop import loop_rate
+from .margin import margin_deviations
 from .parts import Process, Scalar
 from .path.surface import area_stretch, curvature, tangent_to_parameter
 from .path.toolpath import posture
@@ -79,8 +80,12 @@ class Mechanics(eqx.Module):
     """Displacement left before the rigid body touches [mm]."""
     unstick_margin: Scalar
     """Force left before the disc comes unstuck [N]."""
+    unstick_deviation: Scalar
+    """Standard deviation of that force, by the errors of the tool's constants [N]."""
     shear_margin: Scalar
     """Shear stress left before the adhesive fails [MPa]."""
+    shear_deviation: Scalar
+    """Standard deviation of that stress [MPa]."""
     load: Float[Array, "ny nx"]
     """Mean pressure of the contacts that removed it, 0 where nothing did [MPa]."""
     waves: Population
@@ -129,7 +134,6 @@ def along(process: Process, setup: Setup) -> Stations:
     limits = Limits.of(setup.machine)
     if "feed" in setup.idealised:
         limits = jax.tree.map(lambda limit: jnp.full_like(limit, jnp.inf), limits)
-    level_contact = setup.flat or "contact" in setup.idealised
     spacing = process.step / count
     surface, grid = setup.surface, setup.grid
 
@@ -140,7 +144,7 @@ def along(process: Process, setup: Setup) -> Stations:
         )
 
     # one contact patch serves all phases of a loop, and on a plane all stations
-    level = footing(jnp.zeros((2, 2), dtype=s.dtype)) if level_contact else None
+    level = footing(jnp.zeros((2, 2), dtype=s.dtype)) if setup.level else None
 
     def at(s, phase):
         def move(t):
@@ -264,6 +268,10 @@ def mechanics(process: Process, setup: Setup) -> Mechanics:
     width = math.sqrt(STEEPNESS) / (2 * math.pi) * wave
     rippled = Population(second, jnp.zeros_like(second), fourth, width)
 
+    unstick_deviation, shear_deviation = margin_deviations(
+        process, setup, path.curvature, path.force
+    )
+
     time = process.passes * jnp.sum(path.dwell)
     length = process.passes * jnp.sum(path.length)
     return Mechanics(
@@ -284,7 +292,9 @@ def mechanics(process: Process, setup: Setup) -> Mechanics:
         ripple=_ratio(bare, mean_removal),
         body_clearance=body_clearance(process, setup.tool),
         unstick_margin=unstick_force(process.tilt, setup.tool) - force_max,
+        unstick_deviation=unstick_deviation,
         shear_margin=shear_margin(process, setup.tool),
+        shear_deviation=shear_deviation,
         load=load,
         waves=rippled,
     )

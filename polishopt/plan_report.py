@@ -1,5 +1,6 @@
 """Plan report: what the steps of a plan do, as tables, as files and as a picture."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -14,13 +15,25 @@ from .files.document import write_text
 from .files.results import write_json, write_table
 from .optimize.goals import all_excesses, all_misses, reached
 from .optimize.tune import Tuning, Verdict
+from .optimize.uncertainty import Spread
 from .plan import PlanOutcome
 from .plots import save
-from .report import CLOSE, LIMIT_UNITS, answers, empty_table, missed
-from .results import versions
+from .report import (
+    CLOSE,
+    INDEPENDENT,
+    LIMIT_UNITS,
+    SPREAD_UNITS,
+    answers,
+    deviations,
+    empty_table,
+    missed,
+    spread_table,
+)
+from .results import spread_numbers, versions
 from .units import from_internal, label, suffix
 
 
+LAST = "Spread from constants, last step"
 # outcome of a step: unit in which it is shown, and what it is
 COLUMNS = {
     "time": ("min", "time"),
@@ -93,6 +106,7 @@ def show(
     outcome: PlanOutcome,
     loaded: Loaded,
     tuning: Tuning | None,
+    spreads: Sequence[Spread] = (),
 ) -> None:
     """Prints the tables of a plan.
 
@@ -102,9 +116,14 @@ def show(
         outcome: What the steps do.
         loaded: What was asked, as typed.
         tuning: The answer, if anything was tuned.
+        spreads: What the errors of the constants do to each step, if any is given.
     """
     console.print(steps_table(outcome))
     console.print(f"All steps take {float(outcome.time) / 60:.1f} min.")
+    if spreads:
+        console.print(spreads_table(outcome, spreads))
+        console.print(INDEPENDENT)
+        console.print(spread_table(spreads[-1], outcome.last, LAST))
     if tuning is not None:
         table = empty_table("Tuned", "", "unit", "answer", "bounds")
         bounds = {
@@ -145,12 +164,27 @@ def steps_table(outcome: PlanOutcome) -> Table:
     return table
 
 
+def spreads_table(outcome: PlanOutcome, spreads: Sequence[Spread]) -> Table:
+    """What the errors of constants do to each step, one row a step."""
+    shown = ("force_max", "unstick_margin", "mean_removal", "Sa", "Sq", "Ssk", "Sku")
+    words = {"force_max": "force", "unstick_margin": "unstick", "mean_removal": "removal"}
+    units = {name: SPREAD_UNITS[name][0] for name in shown}
+    heads = [f"{words.get(name, name)}\n{label(units[name])}" for name in shown]
+    table = empty_table("Steps, ± constants", "", *heads)
+    for name, spread in zip(outcome.names, spreads, strict=True):
+        row = deviations(spread)
+        cells = (from_internal(row[key], units[key]) for key in shown)
+        table.add_row(name, *(f"{cell:.2g}" for cell in cells))
+    return table
+
+
 def write(
     target: Path,
     job: PlanJob,
     outcome: PlanOutcome,
     loaded: Loaded,
     tuning: Tuning | None,
+    spreads: Sequence[Spread] = (),
 ) -> None:
     """Writes the folder of a plan: numbers, the answer as a config, and a picture.
 
@@ -160,7 +194,9 @@ def write(
         outcome: What the steps do.
         loaded: What was asked, as typed.
         tuning: The answer, if anything was tuned.
+        spreads: What the errors of the constants do to each step, if any is given.
     """
+    scattered = dict(zip(outcome.names, spreads, strict=False))
     heads = ["step", *(f"{name} [{unit or '1'}]" for name, (unit, _) in COLUMNS.items())]
     rows = [[n, *r] for n, r in zip(outcome.names, numbers(outcome), strict=True)]
     write_table(target / "steps.csv", heads, rows)
@@ -193,6 +229,7 @@ def write(
                         part: {"k2_mm2": k.k2, "k3_mm3": k.k3, "k4_mm4": k.k4}
                         for part, k in zip(names, step.parts, strict=True)
                     },
+                    **spread_numbers(scattered.get(name)),
                 }
                 for name, step in zip(outcome.names, outcome.steps, strict=True)
             },

@@ -5,9 +5,12 @@ words.
 """
 
 import math
+import re
 from collections.abc import Mapping
+from statistics import NormalDist
 from typing import NamedTuple
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -18,8 +21,9 @@ from .files.quantity import Tuned
 from .files.schema import StepConfig
 from .optimize.attribution import Attribution
 from .optimize.certificate import Status
-from .optimize.goals import Goal, band_names, reached
+from .optimize.goals import Goal, Limits, band_names, reached
 from .optimize.tune import Tuning, Verdict
+from .optimize.uncertainty import Spread
 from .parts import Process, Scalar
 from .units import from_internal, label, suffix
 
@@ -45,6 +49,15 @@ LIMIT_UNITS = {
     "adhesive shear": "MPa",
     "rigid body": "mm",
 }
+# name of a limit: the outcome whose spread is that of what is left
+LIMITED = {
+    "time": "time",
+    "force": "force_max",
+    "least removal": "mean_removal",
+    "most removal": "mean_removal",
+    "unstick force": "unstick_margin",
+    "adhesive shear": "shear_margin",
+}
 # outcome: unit in which it is shown, and what it is
 OUTCOME_UNITS = {
     "Sa": ("nm", "mean height (estimate)"),
@@ -62,6 +75,18 @@ OUTCOME_UNITS = {
     "spread": ("percent", "removal, spread (coarse nodes)"),
     "ripple": ("percent", "removal, ripple"),
 }
+SPREAD_UNITS = {
+    "Ssk": ("", "skewness"),
+    "Sku": ("", "kurtosis"),
+    "unstick_margin": ("N", "force left to unsticking"),
+    "shear_margin": ("MPa", "shear stress left"),
+    **OUTCOME_UNITS,
+}
+LEAST_SHARE = 0.1  # of the variance: constants with less are not named
+INDEPENDENT = (
+    "± constants is a standard deviation to first order, with the errors of the constants "
+    "independent of each other."
+)
 CLOSE = 1e-6  # a limit or bound nearer than this share of its size counts as reached
 
 
@@ -154,7 +179,12 @@ class Scatter(NamedTuple):
 
 
 def show(
-    console: Console, tuning: Tuning, job: Job, loaded: Loaded, scatter: Scatter
+    console: Console,
+    tuning: Tuning,
+    job: Job,
+    loaded: Loaded,
+    scatter: Scatter,
+    spread: Spread | None = None,
 ) -> None:
     """Prints the tables of an answer.
 
@@ -164,12 +194,22 @@ def show(
         job: What was asked, assembled.
         loaded: What was asked, as typed.
         scatter: How far a measurement of the texture would scatter.
+        spread: What the errors of the constants do, where any is given.
     """
     console.print(_settings(tuning, loaded))
-    console.print(_texture(tuning, job, scatter))
-    console.print(f"± is one standard error of a measured patch of {scatter.side:.2g} mm.")
-    console.print(_limits(tuning, job))
+    console.print(_texture(tuning, job, scatter, spread))
+    patch = f"one standard error of a measured patch of {scatter.side:.2g} mm"
+    if spread is None:
+        console.print(f"± is {patch}.")
+    else:
+        console.print(f"± patch is {patch}, ± constants what their errors make of it.")
+    console.print(_limits(tuning, spread))
+    if held_back := chance(job.limits):
+        console.print(held_back)
     console.print(_outcomes(tuning))
+    if spread is not None:
+        console.print(spread_table(spread, tuning.outcome))
+        console.print(INDEPENDENT)
     count = tuning.statuses.shape[0]
     ended = int((tuning.statuses == Status.SOLVED).sum())
     work = int(tuning.evaluations.sum())
@@ -242,20 +282,22 @@ def _settings(tuning: Tuning, loaded: Loaded) -> Table:
     return table
 
 
-def _texture(tuning: Tuning, job: Job, scatter: Scatter) -> Table:
-    head = ("", "unit", "target", "reached", "±", "miss in tolerances")
+def _texture(tuning: Tuning, job: Job, scatter: Scatter, spread: Spread | None) -> Table:
+    errors = ("±",) if spread is None else ("± patch", "± constants")
+    head = ("", "unit", "target", "reached", *errors, "miss in tolerances")
     table = empty_table("Texture", *head)
+    induced = deviations(spread)
     for name, goal in job.target.items():
         unit = OUTCOME_UNITS.get(name, ("", ""))[0]
         aim = from_internal(float(goal.value), unit)
         found = from_internal(float(reached(tuning.outcome, name, goal)), unit)
-        error = f"{from_internal(scatter.errors[name], unit):.2g}"
+        known = [e[name] for e in (scatter.errors, induced) if name in e]
         table.add_row(
             f"{name}, worst place" if goal.worst else name,
             label(unit),
             f"{aim:.4f}",
             f"{found:.4f}",
-            error,
+            *(f"{from_internal(error, unit):.2g}" for error in known),
             f"{missed(tuning.misses, name, goal):+.2g}",
         )
     return table
@@ -267,8 +309,53 @@ def missed(misses: Mapping[str, Scalar], name: str, goal: Goal) -> float:
     return max((float(misses[side]) for side in sides), key=abs)
 
 
-def _limits(tuning: Tuning, job: Job) -> Table:
-    table = empty_table("Limits", "", "unit", "left", "", "one unit more is worth")
+def deviations(spread: Spread | None) -> dict[str, float]:
+    """Standard deviation of each outcome, by the errors of constants [mm, N, s, MPa]."""
+    if spread is None:
+        return {}
+    return dict(zip(spread.outcomes, spread.deviations.tolist(), strict=True))
+
+
+def short(constant: str) -> str:
+    """A constant in a few words: `foundation`, `unstick forces[0]`, `Sq before`."""
+    name = re.sub(r"start\.roughness\.(\w+)", r"\1 before", constant)
+    return re.sub(r"(tool|abrasive)\.", "", name).replace("_", " ")
+
+
+def spread_table(
+    spread: Spread, outcome: Outcome, title: str = "Spread from constants"
+) -> Table:
+    """How far outcomes scatter with the errors of constants, and with which most."""
+    table = empty_table(title, "", "unit", "value", "±", "share of the variance")
+    table.columns[-1].justify, table.columns[-1].no_wrap = "left", False
+    errors, shares = spread.deviations.tolist(), np.asarray(spread.shares)
+    for name, error, row in zip(spread.outcomes, errors, shares, strict=True):
+        unit, meaning = SPREAD_UNITS[name]
+        value = from_internal(float(getattr(outcome, name)), unit)
+        if not error or math.isinf(value):
+            continue  # depends on no uncertain constant, or there is no such limit
+        largest = [i for i in np.argsort(-row, kind="stable") if row[i] >= LEAST_SHARE]
+        names = [f"{short(spread.constants[i])} {100 * row[i]:.0f} %" for i in largest]
+        shown = f"{from_internal(error, unit):.2g}"
+        table.add_row(meaning, label(unit), f"{value:.4g}", shown, ", ".join(names))
+    return table
+
+
+def chance(limits: Limits) -> str:
+    """What is held back for a chance to come unstuck, in a sentence; '' for nothing."""
+    if limits.unstick_quantile is None:
+        return ""
+    quantile = float(limits.unstick_quantile)
+    return (
+        f"Unstick force: left after {quantile:.3g} standard deviations, for a chance of "
+        f"{100 * NormalDist().cdf(-quantile):.3g} % to come unstuck."
+    )
+
+
+def _limits(tuning: Tuning, spread: Spread | None) -> Table:
+    errors = () if spread is None else ("± constants",)
+    table = empty_table("Limits", "", "unit", "left", *errors, "", "one unit more is worth")
+    induced = deviations(spread)
     solved = int(tuning.verdict) == Verdict.SOLVED
     for name, excess in tuning.excesses.items():
         unit = LIMIT_UNITS[name]
@@ -277,10 +364,12 @@ def _limits(tuning: Tuning, job: Job) -> Table:
         active = multiplier > 1e-9
         gain = multiplier / from_internal(1.0, unit)
         worth = f"{gain:.3g} s" if solved else f"{gain:.3g} of the miss"
+        error = induced.get(LIMITED.get(name, ""), 0.0)
         table.add_row(
             name,
             label(unit),
             f"{left:.4g}",
+            *(f"{from_internal(error, unit):.2g}" if error else "" for _ in errors),
             "active" if active else "exceeded" if left < -CLOSE else "",
             worth if active else "",
         )

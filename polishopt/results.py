@@ -6,6 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -30,6 +31,7 @@ from .optimize.sensitivity import (
     sensitivities,
 )
 from .optimize.tune import Tuning, Verdict
+from .optimize.uncertainty import Spread, spread
 from .parts import Abrasive, Process, Scalar
 from .setup import FINE, Setup
 from .texture.evolution import draw_patch
@@ -65,7 +67,12 @@ GROOVE_PIXELS = 8  # width of a mean groove in a drawn patch
 
 
 def write(
-    tuning: Tuning, job: Job, loaded: Loaded, target: Path, say: Callable[[str], None]
+    tuning: Tuning,
+    job: Job,
+    loaded: Loaded,
+    target: Path,
+    say: Callable[[str], None],
+    spread: Spread | None = None,
 ) -> report.Scatter:
     """Writes all results of a fit.
 
@@ -75,11 +82,12 @@ def write(
         loaded: The config it came from.
         target: The folder; exists.
         say: Called with a sentence as things get done.
+        spread: What the errors of the constants do, where any is given.
 
     Returns:
         How far a measured patch as large as the drawn one scatters.
     """
-    numbers(tuning, job, loaded, target)
+    numbers(tuning, job, loaded, target, spread)
     write_text(
         target / "optimum.yaml",
         optimum(loaded, report.answers(tuning, loaded), target),
@@ -135,10 +143,17 @@ def rehearse(job: Job) -> None:
     """
     _sensitivities(job.process, job.setup, OUTCOMES, _columns(job))
     _fine_maps(job.process, job.setup)
+    spread_of(job.process, job)
+
+
+def spread_of(process: Process, job: Job) -> Spread | None:
+    """What the errors of the constants do to the outcomes; None where none is given."""
+    return _spread(process, job.setup) if job.errors else None
 
 
 _run = eqx.filter_jit(resolved.run)
 _sensitivities = eqx.filter_jit(sensitivities)
+_spread = eqx.filter_jit(spread)
 
 
 @eqx.filter_jit
@@ -158,7 +173,27 @@ def _columns(job: Job) -> tuple[str, ...]:
     return tuple(job.between) or ("tilt", "displacement")
 
 
-def numbers(tuning: Tuning, job: Job, loaded: Loaded, target: Path) -> None:
+def spread_numbers(spread: Spread | None) -> dict[str, Any]:
+    """A spread for `result.json`; nothing where no constant has an error."""
+    if spread is None:
+        return {}
+    by_constant = [dict(zip(spread.constants, row, strict=True)) for row in spread.shares]
+    return {
+        "spread_from_constants": {
+            "errors": dict(zip(spread.constants, spread.errors, strict=True)),
+            "deviations": report.deviations(spread),
+            "shares_of_variance": dict(zip(spread.outcomes, by_constant, strict=True)),
+        }
+    }
+
+
+def numbers(
+    tuning: Tuning,
+    job: Job,
+    loaded: Loaded,
+    target: Path,
+    spread: Spread | None = None,
+) -> None:
     """`result.json`: the answer, its certificate, and where every start ended."""
     outcome = {
         field.name: getattr(tuning.outcome, field.name)
@@ -181,6 +216,7 @@ def numbers(tuning: Tuning, job: Job, loaded: Loaded, target: Path) -> None:
             "target": {k: vars(goal) for k, goal in job.target.items()},
             "outcome": outcome,
             "texture_parts": parts,
+            **spread_numbers(spread),
             "misses_in_tolerances": tuning.misses,
             "limit_excesses": tuning.excesses,
             "limit_multipliers": tuning.multipliers,

@@ -110,6 +110,9 @@ class Setup(eqx.Module):
     """What to leave out, to see what it does: "contact" takes the part as flat under the
     disc, "stretch" takes lengths and areas as those of the parameter plane, "feed" has
     axes without limits."""
+    errors: dict[str, Scalar] = eqx.field(default_factory=dict)
+    """Standard errors of constants by their names in `constants`, such as
+    `tool.foundation`, in the units of these; independent of each other."""
 
     @property
     def side(self) -> float:
@@ -120,6 +123,11 @@ class Setup(eqx.Module):
     def flat(self) -> bool:
         """Whether the part is known to be a plane, so that one contact is as any other."""
         return isinstance(self.surface, Plane)
+
+    @property
+    def level(self) -> bool:
+        """Whether the part is a plane under the disc, or taken as one."""
+        return self.flat or "contact" in self.idealised
 
     @property
     def panels(self) -> int:

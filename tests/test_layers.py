@@ -19,9 +19,10 @@ texture.feature texture.uncertainty texture.parameters
 texture.milling texture.cutter texture.cutting texture.marks
 texture.planarisation texture.scratches texture.evolution texture.direction
 texture.local texture
-setup mechanics chain plan resolved
+setup constants margin mechanics chain plan resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
-optimize.auglag optimize.goals optimize.tune optimize.sensitivity optimize.attribution
+optimize.auglag optimize.goals optimize.uncertainty optimize.tune optimize.sensitivity
+optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
 plots report results plan_report session fit sensitivity attribution measure

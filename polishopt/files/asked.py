@@ -4,12 +4,12 @@ The process values to set or to tune, the surface to start from, the texture to 
 the limits to keep.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from .given import Abrasive, Section, named
-from .quantity import Aim, Between, Goal, Tunable, Tuned, reject
+from .quantity import Aim, Between, Goal, Tunable, Tuned, reject, sentence
 
 
 Truth = Annotated[bool, Field(strict=True)]
@@ -143,6 +143,27 @@ class Target(Section):
         return self
 
 
+class Chance(Section):
+    """How likely a limit may fail, given the standard errors in `errors`."""
+
+    probability_percent: Annotated[float, Between("(0, 50)")]
+    """Largest probability that the limit fails."""
+
+
+def truth(value: Any) -> Any:
+    """The value itself, if it is true or false."""
+    if not isinstance(value, bool):
+        raise sentence("must be true or false, or {probability_percent: 1}")
+    return value
+
+
+Likely = Annotated[
+    Annotated[bool, BeforeValidator(truth), Tag("truth")]
+    | Annotated[Chance, Tag("chance")],
+    Discriminator(lambda value: "chance" if isinstance(value, dict | Chance) else "truth"),
+]
+
+
 class Limits(Section):
     """What the answer must not exceed; a limit that is left out does not hold."""
 
@@ -150,8 +171,9 @@ class Limits(Section):
     """Longest time for the whole step."""
     force_N: Annotated[float, Between("(0, 1e4]")] | None = None
     """Largest force on the part."""
-    unstick: Truth = True
-    """Keep the force below the tool's measured unstick force, where it has one."""
+    unstick: Likely = True
+    """Keep the force below the tool's measured unstick force, where it has one; with a
+    probability, given the errors of the constants, or as if these were exact."""
     rigid_body: Truth = True
     """Keep the rigid body behind the disc off the part."""
     least_removal_um: Annotated[float, Between("(0, 1e4]")] | None = None

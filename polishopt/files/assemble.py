@@ -5,7 +5,9 @@ nothing behind it knows a file.
 """
 
 import dataclasses
+import re
 from collections.abc import Sequence
+from statistics import NormalDist
 from typing import Any
 
 import equinox as eqx
@@ -13,9 +15,10 @@ import jax
 import jax.numpy as jnp
 
 from .. import setup as jobs
+from ..constants import roughness_cumulants
 from ..optimize.calibrate import Data
 from ..optimize.goals import Goal, Limits, PlanLimits, mapped
-from ..optimize.runs import followed, roughness_cumulants
+from ..optimize.runs import followed
 from ..parts import AXES, Abrasive, Machine, Process, Scalar, Tool, as_scalar
 from ..path.guide import hilbert, lines
 from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
@@ -23,10 +26,12 @@ from ..plan import Plan
 from ..texture.marks import milled_marks
 from ..texture.milling import MilledSurface, milled_map
 from ..texture.scratches import Population, groove_population
+from ..units import suffix, to_internal
+from .asked import Chance
 from .measured import start_map
 from .measurements import Measurements
 from .quantity import Tuned, internal
-from .schema import StepConfig
+from .schema import StepConfig, erring
 
 
 # Settings whose key in a config is not their name in `Process` and a unit.
@@ -56,6 +61,11 @@ class Job(eqx.Module):
     limits: Limits
     """What to keep."""
 
+    @property
+    def errors(self) -> dict[str, Scalar]:
+        """Standard errors of constants by their names [mm, N, s, rad]; independent."""
+        return self.setup.errors
+
 
 class PlanJob(eqx.Module):
     """A config with several steps, ready for `follow` and `tune`.
@@ -73,6 +83,11 @@ class PlanJob(eqx.Module):
     """What to reach [mm or -]."""
     limits: PlanLimits
     """What to keep."""
+
+    @property
+    def errors(self) -> tuple[dict[str, Scalar], ...]:
+        """Standard errors of the constants of each step [mm, N, s, rad]."""
+        return tuple(one.errors for one in self.plan.setups)
 
 
 def job(config: StepConfig, first: bool = True) -> Job:
@@ -107,6 +122,7 @@ def job(config: StepConfig, first: bool = True) -> Job:
             or (config.part.surface == "sphere_cap" and config.part.radius_mm > 0)
         ),
         sampling=sampling(config),
+        errors=errors(config, first),
     )
     return Job(
         setup=mapped(made, target),
@@ -238,13 +254,50 @@ def limits(config: StepConfig) -> Limits:
     held: dict[str, Any] = {
         k: None if given[k] is None else as_scalar(given[k]) for k in numbers
     }
+    wanted = config.limits.unstick
+    if isinstance(wanted, Chance):
+        chance = to_internal(wanted.probability_percent, "percent")
+        held["unstick_quantile"] = as_scalar(-NormalDist().inv_cdf(chance))
     return Limits(
         **held,
         clears=config.limits.removal_over_Sz,
-        unstick=config.limits.unstick and config.tool.unstick is not None,
-        shear=config.limits.unstick and config.tool.shear_strength_MPa is not None,
+        unstick=wanted is not False and config.tool.unstick is not None,
+        shear=wanted is not False and config.tool.shear_strength_MPa is not None,
         rigid_body=config.limits.rigid_body,
     )
+
+
+def errors(config: StepConfig, first: bool = True) -> dict[str, Scalar]:
+    """Standard errors by the names of constants; a key that a step lacks has none.
+
+    Args:
+        config: A checked config.
+        first: Whether it finds the start surface.
+    """
+    found = {}
+    for key, error in config.errors.items():
+        start = key.startswith("start.")
+        if not erring(config, key) and (first or not start):
+            name, scale = constant_of(key)
+            found[name] = as_scalar(error * scale)
+    return found
+
+
+def constant_of(key: str) -> tuple[str, float]:
+    """The name of a constant, and the factor to its unit, from its key in a config.
+
+    `tool.unstick.force_N[0]` is `tool.unstick_forces[0]`.
+
+    Args:
+        key: With its sections.
+    """
+    if key == "tool.diameter_mm":
+        return "tool.radius", 0.5
+    stem, bracket, place = key.partition("[")
+    unit = suffix(stem)
+    name = stem.removesuffix(f"_{unit}") if unit else stem
+    name = re.sub(r"^tool\.unstick\.(\w+)$", r"tool.unstick_\1s", name)
+    return name + bracket + place, to_internal(1.0, unit)
 
 
 def sampling(config: StepConfig) -> jobs.Sampling:

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from ruamel.yaml.comments import CommentedMap
 
 from ..units import label, suffix
+from .asked import Chance
 from .document import (
     ConfigError as ConfigError,
     Keys,
@@ -30,7 +31,7 @@ from .library import SHELVES, filled, names
 from .override import override
 from .place import Located, problems_in
 from .quantity import Tuned, internal as internal
-from .schema import Config, StepConfig, json_schema as json_schema
+from .schema import Config, StepConfig, erring, json_schema as json_schema
 from .sentence import did_you_mean, shown, typed
 from .steps import split
 
@@ -110,6 +111,11 @@ def check(text: str, path: Path, overrides: Sequence[str] = ()) -> Loaded:
                 problems.append(place.problem(("steps",), sentence, at_key=True))
         if not problems:
             problems += uneven(steps, place)
+        for name in config.errors if config is not None and not problems else ():
+            wrongs = [erring(one, name) for _, one in steps]
+            if all(wrongs):
+                sentence = f"errors.{name} {wrongs[-1]}, in at least one step"
+                problems.append(place.problem(("errors", name), sentence))
     else:
         config, wrong = checked(Config, data, place, excused)
         problems += wrong
@@ -294,13 +300,19 @@ def described(config: StepConfig, measured: str = "") -> str:
         if goal is not None
     ]
     holds = {"unstick": tool.unstick or tool.shear_strength_MPa}
+
+    def likely(key: str, value: Any) -> str:
+        if isinstance(value, Chance):
+            odds = quantity("probability_percent", value.probability_percent)
+            return f"{word(key)} with a chance of at most {odds}"
+        return word(key) if value is True else f"{word(key)} {quantity(key, value)}"
+
     limits = [
-        word(key) + ("" if holds.get(key, True) else " (this tool has no table)")
-        if value is True
-        else f"{word(key)} {quantity(key, value)}"
+        likely(key, value) + ("" if holds.get(key, True) else " (this tool has no table)")
         for key, value in config.limits
         if value is not None and value is not False
     ]
+    errors = [(key, e) for key, e in config.errors.items() if not erring(config, key)]
     grain = quantity("grain_um", config.abrasive.grain_um)
     rows = [
         ("title", config.title),
@@ -316,6 +328,7 @@ def described(config: StepConfig, measured: str = "") -> str:
         ("start", measured or ", ".join(start)),
         ("target", ", ".join(goals) or "none"),
         ("limits", ", ".join(limits) or "none"),
+        ("errors", ", ".join(f"{key} ± {e:g}" for key, e in errors)),
         ("secondary", config.secondary),
     ]
     width = max(len(name) for name, _ in rows)

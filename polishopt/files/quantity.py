@@ -20,13 +20,18 @@ from ..units import suffix, to_internal
 BRIEF = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
+def sentence(said: str) -> PydanticCustomError:
+    """An error that says just this."""
+    # a sentence is no template: braces in it are braces
+    return PydanticCustomError("sentence", "{said}", {"said": said})
+
+
 def reject(*wrongs: tuple[tuple, str | PydanticCustomError, Any]) -> NoReturn:
     """Raises a validation error for each (keys below here, sentence, value typed)."""
     details = []
     for keys, why, value in wrongs:
         if isinstance(why, str):
-            # a sentence is no template: braces in it are braces
-            why = PydanticCustomError("sentence", "{said}", {"said": why})
+            why = sentence(why)
         details.append(InitErrorDetails(type=why, loc=keys, input=value))
     raise ValidationError.from_exception_data("config", details)
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, model_validator
 
-from .asked import Limits, Process, Start, Target
+from .asked import Chance, Limits, Process, Start, Target
 from .given import Abrasive, Hilbert, Lines, Machine, Part, Section, Tool, named
 from .quantity import Between, Tuned, reject
 
@@ -22,6 +22,9 @@ REPLACED = ("tool", "abrasive", "guide", "target", "texture", "sampling")
 
 # where the constants stand that may have an error
 ERRING = ("tool.", "abrasive.", "start.roughness.")
+# those of them on which it depends whether the disc comes off
+UNSTICKING = ("tool.diameter", "tool.foundation", "tool.stiffening", "tool.unstick")
+SHEARING = ("tool.foundation", "tool.stiffening", "tool.friction", "tool.shear")
 
 
 class Texture(Section):
@@ -128,14 +131,19 @@ class StepConfig(Section):
     key; `polishopt.calibrate` writes them."""
 
     @model_validator(mode="after")
-    def _errors_have_keys(self):
-        wrongs = [
-            (("errors", name), f"{sentence}", value)
-            for name, value in self.errors.items()
-            if (sentence := erring(self, name))
-        ]
-        if wrongs:
-            reject(*wrongs)
+    def _chance_has_errors(self):
+        tool, chance = self.tool, self.limits.unstick
+        needs = UNSTICKING if tool.unstick else SHEARING
+        held = tool.unstick or tool.shear_strength_MPa
+        if isinstance(chance, Chance) and held:
+            given = [name for name in self.errors if not erring(self, name)]
+            if not any(name.startswith(needs) for name in given):
+                sentence = (
+                    "asks for a probability, but no constant that the force or the disc's "
+                    "hold depends on has a standard error; write, say, "
+                    "errors: {tool.foundation_N_mm3: 0.01}"
+                )
+                reject((("limits", "unstick"), sentence, ...))
         return self
 
     @model_validator(mode="after")
@@ -175,6 +183,17 @@ class Config(StepConfig):
 
     target: Target  # pyright: ignore[reportGeneralTypeIssues, reportIncompatibleVariableOverride]
     """The texture to reach."""
+
+    @model_validator(mode="after")
+    def _errors_have_keys(self):
+        wrongs = [
+            (("errors", name), f"{sentence}", value)
+            for name, value in self.errors.items()
+            if (sentence := erring(self, name))
+        ]
+        if wrongs:
+            reject(*wrongs)
+        return self
 
 
 def brief(node: Any) -> Any:

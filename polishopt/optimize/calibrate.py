@@ -8,7 +8,6 @@ otherwise its scatter is estimated with the constants (each kind of measurement 
 its own), and intervals are those of Student's t.
 """
 
-import dataclasses
 import math
 from typing import NamedTuple
 
@@ -20,12 +19,11 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float
 from scipy.special import ndtri, stdtrit
 
+from ..constants import START, part, with_constants
 from ..contact.pressure import flat_force
 from ..parts import Scalar
 from ..setup import Setup
-from ..texture.areal import parameters_from_cumulants
-from ..texture.planarisation import asperity_stiffness
-from .runs import Finished, Run, finished, roughness_cumulants
+from .runs import Finished, Run, finished
 
 
 class Prior(NamedTuple):
@@ -37,7 +35,6 @@ class Prior(NamedTuple):
     """Standard deviation on that scale."""
 
 
-START = ("start.roughness.Sq", "start.roughness.Ssk", "start.roughness.Sku")
 # A factor of 5 is a standard deviation of log 5: two in three lie between 1/5 and 5 times
 # the config's value. What the presets call placeholders are no better known than that.
 PRIORS = {
@@ -134,39 +131,6 @@ class _Fit(NamedTuple):
     slopes: Float[Array, "rows columns"]
     predicted: dict[str, Float[Array, " _"]]
     ended: Bool[Array, ""]
-
-
-def part(setup: Setup, name: str) -> Scalar:
-    """The constant of a setup that a name such as `tool.foundation` stands for."""
-    owner, _, field = name.rpartition(".")
-    if name in START:
-        Sq, Ssk, Sku = parameters_from_cumulants(*setup.start.total)
-        return {"Sq": Sq, "Ssk": Ssk, "Sku": Sku}[field]
-    if field == "asperity_stiffness":
-        return asperity_stiffness(setup.abrasive)
-    return getattr(getattr(setup, owner), field)
-
-
-def with_constants(setup: Setup, values: dict[str, Scalar]) -> Setup:
-    """A setup with some of its constants replaced.
-
-    Args:
-        setup: The job.
-        values: Constants by name [mm, N, s, rad]; all three of the start or none.
-    """
-    for owner in ("tool", "abrasive"):
-        mine = {
-            name.rpartition(".")[2]: value
-            for name, value in values.items()
-            if name.startswith(owner)
-        }
-        new = dataclasses.replace(getattr(setup, owner), **mine)
-        setup = dataclasses.replace(setup, **{owner: new})
-    if START[0] in values:
-        scratches = roughness_cumulants(*(values[name] for name in START))
-        start = dataclasses.replace(setup.start, scratches=(scratches,))
-        setup = dataclasses.replace(setup, start=start)
-    return setup
 
 
 def unknowns(data: Data, setup: Setup, free_start: bool = False) -> tuple[str, ...]:

@@ -54,6 +54,9 @@ class Limits(eqx.Module):
     """Largest spread of the removal over the part [-]."""
     unstick: bool = eqx.field(static=True, default=True)
     """Whether the force must stay below the disc's unstick force."""
+    unstick_quantile: Scalar | None = None
+    """With how many standard deviations to spare, and shear likewise: 2.33 for a chance of
+    1 % to come unstuck; None for none, as if all constants were exact [-]."""
     shear: bool = eqx.field(static=True, default=False)
     """Whether friction must stay below the adhesive's shear strength."""
     rigid_body: bool = eqx.field(static=True, default=True)
@@ -65,7 +68,8 @@ class Limits(eqx.Module):
 def excesses(outcome: Outcome, limits: Limits) -> dict[str, Scalar]:
     """By how much each named limit is exceeded; negative while it holds.
 
-    Units are those of the limit: s, N, mm, MPa or a share.
+    A limit with a chance to fail is exceeded where the margin is less than its quantile
+    times its standard deviation. Units are those of the limit: s, N, mm, MPa or a share.
 
     Args:
         outcome: What the process does.
@@ -85,12 +89,20 @@ def excesses(outcome: Outcome, limits: Limits) -> dict[str, Scalar]:
     if limits.spread is not None:
         result["spread"] = outcome.spread - limits.spread
     if limits.unstick:
-        result["unstick force"] = -outcome.unstick_margin
+        spare = _spare(limits, outcome.unstick_deviation)
+        result["unstick force"] = spare - outcome.unstick_margin
     if limits.shear:
-        result["adhesive shear"] = -outcome.shear_margin
+        spare = _spare(limits, outcome.shear_deviation)
+        result["adhesive shear"] = spare - outcome.shear_margin
     if limits.rigid_body:
         result["rigid body"] = -outcome.body_clearance
     return result
+
+
+def _spare(limits: Limits, deviation: Scalar) -> Scalar:
+    """What must be left of a margin so that the chance to lose it is as asked for."""
+    quantile = limits.unstick_quantile
+    return jnp.zeros_like(deviation) if quantile is None else quantile * deviation
 
 
 def misses(outcome: Outcome, target: Mapping[str, Goal]) -> dict[str, Scalar]:
@@ -189,7 +201,7 @@ def mapped(job: Job, target: Mapping[str, Goal]) -> Job:
         return job
     if isinstance(job, Plan):
         setups = tuple(dataclasses.replace(setup, local=True) for setup in job.setups)
-        return Plan(job.names, setups)
+        return dataclasses.replace(job, setups=setups)
     return dataclasses.replace(job, local=True)
 
 

@@ -63,11 +63,6 @@ class Finished(eqx.Module):
     """Kurtosis [-]."""
 
 
-def roughness_cumulants(Sq: Scalar, Ssk: Scalar, Sku: Scalar) -> Population:
-    """The cumulants of a roughness of which Sq [mm], Ssk and Sku are known."""
-    return Population(Sq**2, Ssk * Sq**3, (Sku - 3.0) * Sq**4)
-
-
 @eqx.filter_jit
 def followed(processes: Process, before: Population, setup: Setup) -> Run:
     """Runs, followed along their paths once.
