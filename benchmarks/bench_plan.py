@@ -10,6 +10,7 @@ gradient, and its difference from central differences, setting by setting
 import resource
 import time
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -51,7 +52,7 @@ def main():
         began = time.perf_counter()
         compiled = jax.jit(f).lower(jnp.asarray(x)).compile()
         built = time.perf_counter() - began
-        runs = []
+        runs, result = [], None
         for _ in range(3):
             began = time.perf_counter()
             result = jax.block_until_ready(compiled(jnp.asarray(x)))
@@ -60,8 +61,10 @@ def main():
 
     forward, _, built, run = timed(last)
     print(f"forward: compile {built:.1f} s, run {run:.3f} s")
+    gradient: Any
     compiled, gradient, built, slope = timed(jax.grad(last))
-    set_aside = compiled.memory_analysis().temp_size_in_bytes / 1e6
+    memory: Any = compiled.memory_analysis()
+    set_aside = memory.temp_size_in_bytes / 1e6
     print(f"gradient: compile {built:.1f} s, run {slope:.3f} s, {slope / run:.2f} runs")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(f"gradient: {set_aside:.0f} MB set aside; process at most {peak:.0f} MB")

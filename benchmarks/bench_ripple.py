@@ -35,7 +35,9 @@ def depths(process, setup, count, points, phase):
     path = run(process, setup, count, phase)
     half = 0.5 * jnp.diff(path.law.time)
     dwell = jnp.pad(half, (1, 0)) + jnp.pad(half, (0, 1))
-    chord = jnp.gradient(path.posture.contact, axis=0)
+    contact = path.posture.contact
+    chord = jnp.concatenate([contact[1:], contact[-1:]])
+    chord = chord - jnp.concatenate([contact[:1], contact[:-1]])
     length = jnp.linalg.norm(chord, axis=1)
     velocity = (path.law.feed / jnp.where(length > 0, length, 1.0))[:, None] * chord
     f, b, xy = path.posture.feed_direction, path.posture.side, path.posture.xy

@@ -527,6 +527,7 @@ def test_the_disc_body_touches_as_the_papers_figure_implies():
 def test_goals_have_tolerances(tmp_path):
     text = GOOD.replace("Ssk: -0.45", "Ssk: -0.45\n  Sq_nm: 50")
     target = load(written(tmp_path, text)).config.target
+    assert target is not None
     assert (target.Ssk.value, target.Ssk.tolerance) == (-0.45, 0.05)
     assert (target.Sku.value, target.Sku.tolerance) == (3.3, 0.2)
     assert target.Sq_nm is not None
@@ -546,6 +547,7 @@ def test_numbers_go_inside_in_mm_N_s_and_rad(tmp_path):
     assert config.tool.unstick is not None
     assert internal(config.tool.unstick)["force"] == (12.0, 14.0, 17.0, 18.0)
     assert internal(config.machine.axes.A)["speed"] == pytest.approx(1.5707963268)
+    assert config.target is not None
     assert internal(config.target)["Sq"].value == pytest.approx(50e-6)
     assert internal(config.limits)["time"] == pytest.approx(1200)
 
@@ -571,6 +573,7 @@ def test_examples_load_and_say_which_schema_they_follow(path):
 
 def test_the_manual_polishers_texture_is_the_papers():
     target = load(ROOT / "configs/pessoles2009_diamond.yaml").config.target
+    assert target is not None
     assert (target.Ssk.value, target.Sku.value) == (-0.5941, 3.748)
 
 
