@@ -31,7 +31,7 @@ from IPython.display import Markdown
 from matplotlib_inline.backend_inline import set_matplotlib_formats
 from polishopt.files.assemble import plan_job
 from polishopt.files.config import load
-from polishopt.plan import Plan, follow
+from polishopt.plan import follow
 from polishopt.plan_report import picture
 from polishopt.texture import height_parameters
 from polishopt.texture.direction import slid_directions
@@ -143,17 +143,3 @@ plt.show()
 
 # %% [markdown]
 # One patch of forty grooves scatters: compare its Ssk and Sku with those of the table.
-#
-# ## What matters
-#
-# The steps in between cannot be left out: after P120 alone, the 1 µm step still stands on
-# scratches that it cannot reach.
-
-# %%
-ends = (0, -1)
-short = Plan(tuple(names[i] for i in ends), tuple(job.plan.setups[i] for i in ends))
-both = eqx.filter_jit(follow)(tuple(job.processes[i] for i in ends), short)
-Markdown(
-    f"P120 and 1 µm alone leave Sa = {1e6 * both.last.Sa:.0f} nm, "
-    f"all seven {1e6 * outcome.last.Sa:.1f} nm."
-)
