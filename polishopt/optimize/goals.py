@@ -189,7 +189,7 @@ def mapped(job: Job, target: Mapping[str, Goal]) -> Job:
         return job
     if isinstance(job, Plan):
         setups = tuple(dataclasses.replace(setup, local=True) for setup in job.setups)
-        return Plan(job.names, setups)
+        return dataclasses.replace(job, setups=setups)
     return dataclasses.replace(job, local=True)
 
 
