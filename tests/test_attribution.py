@@ -104,10 +104,10 @@ def test_the_same_job_twice_has_nothing_to_split():
 
 
 def test_table_and_file(split, tmp_path):
-    file = io.StringIO()
-    console = Console(width=80, file=file)
+    printed = io.StringIO()
+    console = Console(width=80, file=printed)
     console.print(attribution_table(split, "plane", "convex"))
-    shown = file.getvalue()
+    shown = printed.getvalue()
     assert "…" not in shown, "it fits a terminal"
     assert "mean removal [µm]" in shown
     write_attribution(tmp_path / "a.csv", split, {"force": "N"})
