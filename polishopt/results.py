@@ -25,7 +25,7 @@ from .files.schema import StepConfig
 from .files.topography import Topography, write as write_topography
 from .optimize.sensitivity import OUTCOMES, sensitivities
 from .optimize.tune import Tuning, Verdict
-from .optimize.uncertainty import Spread, spread
+from .optimize.uncertainty import Spread, quickly, spread
 from .parts import Abrasive, Process, Scalar
 from .setup import FINE, Setup
 from .texture.evolution import draw_patch
@@ -137,7 +137,7 @@ def spread_of(process: Process, job: Job) -> Spread | None:
 
 _run = eqx.filter_jit(resolved.run)
 _sensitivities = eqx.filter_jit(sensitivities)
-_spread = eqx.filter_jit(spread)
+_spread = quickly(spread)
 
 
 @eqx.filter_jit
