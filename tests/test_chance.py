@@ -24,6 +24,7 @@ from polishopt.optimize.goals import Goal, Limits, excesses
 from polishopt.optimize.tune import tune
 from polishopt.optimize.uncertainty import OUTCOMES, Spread, plan_spread, spread
 from polishopt.parts import Process
+from polishopt.path.surface import SphereCap
 from polishopt.plan import Plan
 from rich.console import Console
 
@@ -50,6 +51,7 @@ LOADED = load(PLANE, [*SMALL, *ASKED])
 JOB = assemble.job(LOADED.config)
 TARGET = {"mean_removal": Goal(0.01, 0.01)}
 K, TABLE = "tool.foundation", "tool.unstick_forces"
+CAP = SphereCap(size=JOB.setup.size, radius=jnp.asarray(100.0))
 LEVEL = jnp.zeros((1, 2, 2))
 BENT = jnp.asarray([[[0.003, 0.001], [0.001, 0.004]], [[0.01, -0.001], [-0.001, 0.008]]])
 
@@ -137,9 +139,8 @@ def deviation(x, names=tuple(JOB.errors), curvatures=BENT, size=1.0):
     """Of both margins, of tilt and displacement."""
     process = dataclasses.replace(JOB.process, tilt=x[0], displacement=x[1])
     errors = {name: size * JOB.errors[name] for name in names}
-    setup = dataclasses.replace(
-        JOB.setup, errors=errors, surface=None if curvatures is BENT else JOB.setup.surface
-    )
+    surface = JOB.setup.surface if curvatures is LEVEL else CAP
+    setup = dataclasses.replace(JOB.setup, errors=errors, surface=surface)
     forces = jnp.asarray([1.0, 2.0])[: curvatures.shape[0]]
     return jnp.stack(margin_deviations(process, setup, curvatures, forces))
 
@@ -187,17 +188,18 @@ def test_without_an_error_nothing_scatters_and_gradients_are_finite():
     assert_close(jax.jit(jax.jacrev(still))(x), 0.0)
 
 
-def test_an_excess_holds_its_quantile_back():
-    outcome = SimpleNamespace(
+def test_an_excess_holds_its_quantile_back(tuned):
+    outcome = dataclasses.replace(
+        tuned.outcome,
         unstick_margin=jnp.asarray(1.0),
         unstick_deviation=jnp.asarray(0.5),
         shear_margin=jnp.asarray(0.03),
         shear_deviation=jnp.asarray(0.01),
     )
     limits = Limits(shear=True, rigid_body=False)
-    assert_close(list(excesses(outcome, limits).values()), [-1.0, -0.03])  # pyright: ignore[reportArgumentType]
+    assert_close(list(excesses(outcome, limits).values()), [-1.0, -0.03])
     limits = dataclasses.replace(limits, unstick_quantile=jnp.asarray(2.0))
-    assert_close(list(excesses(outcome, limits).values()), [0.0, -0.01])  # pyright: ignore[reportArgumentType]
+    assert_close(list(excesses(outcome, limits).values()), [0.0, -0.01])
 
 
 # the answer
@@ -278,7 +280,7 @@ def test_the_report_names_both_kinds_of_error(tuned, scattered, tmp_path):
     with console.capture() as caught:
         report.show(console, tuned, job, LOADED, scatter, scattered)
     text = caught.get()
-    for part_ in ("± patch", "± constants", "for a chance of 1 %", "forces[0]"):
+    for part_ in ("± patch", "± constants", "for a chance of 1 %", "forces[1]"):
         assert part_ in text
     deviation = scattered.deviations[OUTCOMES.index("unstick_margin")]
     line = next(line for line in text.splitlines() if "unstick force " in line)

@@ -150,7 +150,7 @@ def plan_spread(
 
 
 def quickly(f: Callable) -> Callable:
-    """`filter_jit` for what runs once: plain code, which compiles in a fraction of the time."""
+    """`filter_jit` for what runs once: into plain code, which compiles sooner."""
     jit: Any = eqx.filter_jit
     return jit(f, compiler_options=PLAIN)
 
