@@ -31,7 +31,7 @@ from .optimize.sensitivity import (
     sensitivities,
 )
 from .optimize.tune import Tuning, Verdict
-from .optimize.uncertainty import Spread, spread
+from .optimize.uncertainty import Spread, quickly, spread
 from .parts import Abrasive, Process, Scalar
 from .setup import FINE, Setup
 from .texture.evolution import draw_patch
@@ -153,7 +153,7 @@ def spread_of(process: Process, job: Job) -> Spread | None:
 
 _run = eqx.filter_jit(resolved.run)
 _sensitivities = eqx.filter_jit(sensitivities)
-_spread = eqx.filter_jit(spread)
+_spread = quickly(spread)
 
 
 @eqx.filter_jit
