@@ -147,9 +147,9 @@ def deviation(x, names=tuple(JOB.errors), curvatures=BENT, size=1.0):
 
 def test_deviation_of_the_margin_in_closed_form():
     """Linear in the stiffness and in the table."""
-    tilt, displacement = np.deg2rad(3.5), 0.5
+    tilt, displacement = jnp.deg2rad(jnp.asarray(3.5)), jnp.asarray(0.5)
     names = (K, f"{TABLE}[0]", f"{TABLE}[1]")
-    unstick, shear = deviation(jnp.asarray([tilt, displacement]), names, LEVEL)
+    unstick, shear = deviation(jnp.stack([tilt, displacement]), names, LEVEL)
     tool = JOB.setup.tool
     force = flat_force(tool.radius, tool.foundation, tilt, displacement)
     spring = float(force / tool.foundation) * 0.012
