@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from statistics import NormalDist
 from types import SimpleNamespace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -303,7 +304,7 @@ def test_the_errors_of_a_plan_go_from_step_to_step():
         values = {"abrasive.preston": jnp.asarray(preston), K: jnp.asarray(foundation)}
         return dataclasses.replace(with_constants(base, values), errors=error)
 
-    def chain(processes, plan):
+    def chain(processes, plan) -> Any:
         steps, total = [], jnp.zeros(())
         for one in plan.setups:
             total = total + one.abrasive.preston * one.tool.foundation
