@@ -259,7 +259,9 @@ def _everywhere(
     }
 
 
-def setting(process: Process | Sequence[Process], names: Sequence[str], name: str) -> float:
+def setting(
+    process: Process | Sequence[Process], names: Sequence[str], name: str
+) -> Scalar:
     """One setting of a process, or `P600 tilt` of the processes of a plan.
 
     Args:
@@ -282,7 +284,7 @@ def setting(process: Process | Sequence[Process], names: Sequence[str], name: st
         one = process[names.index(step)]
     if word not in SETTINGS:
         raise ValueError(f"`between` has {name!r}, which is no setting of `Process`.")
-    return float(getattr(one, word))
+    return getattr(one, word)
 
 
 def applied(

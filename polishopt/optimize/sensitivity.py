@@ -109,7 +109,7 @@ def plan_sensitivities(
         reached = (getattr(one, name) for one, name in zip(of, outcomes, strict=True))
         return jnp.stack(list(reached))
 
-    x = jnp.asarray([setting(tuple(processes), plan.names, name) for name in settings])
+    x = jnp.stack([setting(tuple(processes), plan.names, name) for name in settings])
     return _matrix(values, x, tuple(outcomes), tuple(settings))
 
 

@@ -313,7 +313,7 @@ def tune(
     steps = _steps(setup)
     begin = start if isinstance(start, Process) else tuple(start)
     setup = mapped(setup, target)
-    first = {name: setting(begin, steps, name) for name in between}
+    first = {name: float(setting(begin, steps, name)) for name in between}
     for name, (low, high) in between.items():
         if not low <= first[name] <= high:
             raise ValueError(
