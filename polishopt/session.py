@@ -5,6 +5,7 @@ double precision, and where to keep what it has compiled, before it makes its fi
 """
 
 import argparse
+import gc
 import importlib
 import os
 import platform
@@ -125,6 +126,10 @@ def prepare(cache: bool = True) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    # a third of the time that tracing takes: nobody reads where an operation came
+    # from, and the many objects that tracing makes are hardly ever garbage
+    jax.config.update("jax_traceback_in_locations_limit", 0)
+    gc.set_threshold(200_000, 50, 1000)
     place = os.environ.get("POLISHOPT_CACHE", "")
     if not cache or place == "off":
         return
