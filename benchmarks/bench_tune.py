@@ -160,5 +160,7 @@ def compare(path):
 
 
 if __name__ == "__main__":
-    for given in sys.argv[1:] or sorted(CONFIGS.glob("pessoles2009_*.yaml")):
+    parts = ("plane", "convex", "diamond")
+    single = [CONFIGS / f"pessoles2009_{part}.yaml" for part in parts]
+    for given in sys.argv[1:] or single:
         compare(Path(given))
