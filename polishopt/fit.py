@@ -42,22 +42,13 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
         quiet: Whether to print nothing.
     """
     import equinox as eqx
-    from rich.console import Console
 
     from . import report
     from .chain import polish
     from .files.assemble import job as assemble
     from .optimize.tune import tune
 
-    told, console = Console(stderr=True, quiet=quiet), Console(quiet=quiet)
-    began = time.monotonic()
-
-    def say(sentence: str) -> None:
-        told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {sentence}")
-
-    say(f"reading {loaded.path}")
-    if loaded.measured:
-        say(f"starting from {loaded.measured}")
+    told, console, say = _opening(loaded, quiet)
     preload("scipy.stats", "polishopt.plots", "xarray", "h5netcdf")
     job = assemble(loaded.config)
     solver = loaded.config.solver
@@ -96,7 +87,6 @@ def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
         quiet: Whether to print nothing.
     """
     import equinox as eqx
-    from rich.console import Console
 
     from . import plan_report
     from .files.assemble import plan_job
@@ -104,15 +94,7 @@ def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     from .optimize.uncertainty import plan_spread
     from .plan import follow
 
-    told, console = Console(stderr=True, quiet=quiet), Console(quiet=quiet)
-    began = time.monotonic()
-
-    def say(sentence: str) -> None:
-        told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {sentence}")
-
-    say(f"reading {loaded.path}")
-    if loaded.measured:
-        say(f"starting from {loaded.measured}")
+    told, console, say = _opening(loaded, quiet)
     job = plan_job(loaded.steps)
     tuning, solver = None, loaded.config.solver
     if job.between:
@@ -143,6 +125,22 @@ def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     say(f"results are in {target}")
     plan_report.show(console, job, outcome, loaded, tuning, spreads)
     return plan_report.verdict(job, outcome, tuning)[0]
+
+
+def _opening(loaded: Loaded, quiet: bool):
+    """Where progress goes, where the answer goes, and how to say what is going on."""
+    from rich.console import Console
+
+    told, console = Console(stderr=True, quiet=quiet), Console(quiet=quiet)
+    began = time.monotonic()
+
+    def say(sentence: str) -> None:
+        told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {sentence}")
+
+    say(f"reading {loaded.path}")
+    if loaded.measured:
+        say(f"starting from {loaded.measured}")
+    return told, console, say
 
 
 def _rehearse(job) -> None:

@@ -218,7 +218,7 @@ def write(
     write_json(
         target / "result.json",
         {
-            "verdict": code,
+            "verdict": Verdict(code).name.lower(),
             "sentence": sentence,
             "units": "mm, N, s, rad, MPa",
             "answers": found,

@@ -75,6 +75,21 @@ def test_target_is_met_and_limits_hold(solved):
     assert float(answer.kkt) <= 1e-4
 
 
+def test_a_goal_multiplier_is_what_moving_that_goal_costs(solved):
+    """Each under its own name, though the goals are not in alphabetical order."""
+    target, limits, answer = solved
+    for name, goal in target.items():
+        times = []
+        for shift in (-0.05, 0.05):
+            value = goal.value + shift * goal.tolerance
+            moved = {**target, name: Goal(value, goal.tolerance)}
+            again = tune(SETUP, START, BETWEEN, moved, limits, chain=toy)
+            assert int(again.verdict) == Verdict.SOLVED
+            times.append(float(again.outcome.time))
+        slope = (times[1] - times[0]) / 0.1
+        assert_close(answer.goal_multipliers[name], slope, rtol=2e-2)
+
+
 def test_no_better_point_is_found_by_slsqp(solved):
     target, limits, answer = solved
     names = list(BETWEEN)
