@@ -1,4 +1,4 @@
-"""Comparisons that several tests share."""
+"""Comparisons, and an abrasive, that several tests share."""
 
 import functools
 from collections.abc import Callable
@@ -7,6 +7,22 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
+from polishopt.parts import Abrasive
+
+
+def abrasive(**changes):
+    """One-micron diamond on hardened steel."""
+    given = {
+        "preston": 1e-8,
+        "grain": 1e-3,
+        "active_fraction": 0.05,
+        "half_angle": np.radians(60),
+        "hardness": 5490.0,
+        "pad_modulus": 5.0,
+        "depth_variation": 0.0,
+        "conformity": 0.08,
+    }
+    return Abrasive(**(given | changes))
 
 
 def fast_jit(f: Callable) -> Callable:

@@ -184,7 +184,10 @@ def test_the_deviation_has_exact_derivatives():
 def test_without_an_error_nothing_scatters_and_gradients_are_finite():
     x = jnp.asarray([0.06, 0.5])
     assert_close(deviation(x, ("abrasive.preston",)), 0.0)
-    still = lambda x: deviation(x, size=0.0)  # noqa: E731
+
+    def still(x):
+        return deviation(x, size=0.0)
+
     assert_close(still(x), 0.0)
     assert_close(jax.jit(jax.jacrev(still))(x), 0.0)
 

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
-from helpers import assert_close, assert_gradient
-from polishopt.parts import Abrasive
+from helpers import abrasive, assert_close, assert_gradient
 from polishopt.texture.areal import (
     Cumulants,
     height_parameters,
@@ -37,21 +36,6 @@ S = jnp.asarray
 wear = jax.jit(planarise, static_argnames="steps")
 press = jax.jit(pad_pressure)
 heights_of = jax.jit(height_parameters)
-
-
-def abrasive(**changes):
-    """One-micron diamond on hardened steel."""
-    given = {
-        "preston": 1e-8,
-        "grain": 1e-3,
-        "active_fraction": 0.05,
-        "half_angle": np.radians(60),
-        "hardness": 5490.0,
-        "pad_modulus": 5.0,
-        "depth_variation": 0.0,
-        "conformity": 0.08,
-    }
-    return Abrasive(**(given | changes))
 
 
 def gaussian_map(n=64, seed=0):

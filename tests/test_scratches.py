@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
-from helpers import assert_close, assert_gradient
-from polishopt.parts import Abrasive
+from helpers import abrasive, assert_close, assert_gradient
 from polishopt.texture.areal import Cumulants, cumulants, parameters_from_cumulants
 from polishopt.texture.evolution import combine, draw_patch
 from polishopt.texture.planarisation import asperity_stiffness, planarised
@@ -28,21 +27,6 @@ from scipy import stats
 
 S = jnp.asarray
 PRESSURE = S(0.05)
-
-
-def abrasive(**changes):
-    """One-micron diamond on hardened steel."""
-    given = {
-        "preston": 1e-8,
-        "grain": 1e-3,
-        "active_fraction": 0.05,
-        "half_angle": np.radians(60),
-        "hardness": 5490.0,
-        "pad_modulus": 5.0,
-        "depth_variation": 0.0,
-        "conformity": 0.08,
-    }
-    return Abrasive(**(given | changes))
 
 
 def parameters(part):
