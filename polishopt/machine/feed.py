@@ -6,6 +6,7 @@ holds at each sample. `usage` checks a time law against the limits between the s
 """
 
 import functools
+import math
 from collections.abc import Callable
 from typing import SupportsInt
 
@@ -49,9 +50,10 @@ def limiting_name(code: SupportsInt, names: tuple[str, ...] = AXES) -> str:
     number, m = int(code), len(names)
     if number == 0:
         return "programmed feed"
-    if number > 2 * m:
-        return "start or end"
-    return f"{names[(number - 1) % m]} {'speed' if number <= m else 'acceleration'}"
+    if number > 3 * m:
+        return ("path acceleration", "path jerk", "start or end")[number - 3 * m - 1]
+    kind = ("speed", "acceleration", "jerk")[(number - 1) // m]
+    return f"{names[(number - 1) % m]} {kind}"
 
 
 def time_law(
@@ -85,7 +87,7 @@ def time_law(
     Source: Own derivation.
     """
     parameter = arc if sigma is None else sigma
-    kept, index = _distinct(parameter)
+    kept, index = distinct(parameter)
     columns = axes if sigma is None else jnp.column_stack([axes, arc])
     first, second = derivatives(columns[kept], parameter[kept], index[-1] + 1)
     first, second = first[index], second[index]
@@ -140,7 +142,7 @@ def time_law_from_derivatives(
         feed=length_rate * rate,
         rate=rate,
         time=jnp.pad(jnp.cumsum(dt), (1, 0)),
-        limiting=jnp.where(imposed, 2 * limits.speed.size + 1, code),
+        limiting=jnp.where(imposed, 3 * limits.speed.size + 3, code),
         total=jnp.sum(dt),
     )
 
@@ -149,53 +151,58 @@ def derivatives(
     values: Float[Array, "n m"],
     sigma: Float[Array, " n"],
     count: Int[Array, ""] | None = None,
-) -> tuple[Float[Array, "n m"], Float[Array, "n m"]]:
-    r"""First and second derivatives of sampled values by the path parameter.
+    order: int = 2,
+) -> tuple[Float[Array, "n m"], ...]:
+    r"""Derivatives of sampled values by the path parameter.
 
     Those of the polynomial through each sample and its two neighbours on either side, so
     the error is of order $h^4$ for even samples ($h^3$ in the second derivative for
-    uneven ones and for the two samples at each end).
+    uneven ones and for the two samples at each end; $h^2$ in the third).
 
     Args:
         values: Values at the samples.
         sigma: Path parameter, strictly increasing.
         count: How many samples, from the first, are real; all if not given.
+        order: How often to differentiate, at most.
 
     Returns:
-        First and second derivative at each sample.
+        First, second, ... derivative at each sample.
 
     Source: Own derivation (Lagrange's polynomial).
     """
     n = sigma.size
     width = min(n, 5)
     real = n if count is None else count
-    # past the last real sample, any increasing abscissa will do: it is never weighted
-    mean = (sigma[-1] - sigma[0]) / (n - 1)
-    beyond = jnp.maximum(jnp.arange(n) - (real - 1), 0)
-    sigma = sigma + jnp.where(mean > 0.0, mean, 1.0) * beyond.astype(sigma.dtype)
+    sigma = increasing(sigma, real)
     first = jnp.clip(jnp.arange(n) - width // 2, 0, jnp.maximum(real - width, 0))
     window = first[:, None] + jnp.arange(width)[None]
     node = sigma[window]  # (n, width)
     gap = sigma[:, None] - node
     change = values[window] - values[:, None, :]  # (n, width, m)
-    d1, d2 = jnp.zeros_like(values), jnp.zeros_like(values)
+    totals = [jnp.zeros_like(values)] * order
     for k in range(width):
         others = [gap[:, l] for l in range(width) if l != k]
         below = 1.0
         for l in range(width):
             below = below * ((node[:, k] - node[:, l]) if l != k else 1.0)
         # the basis polynomial is (a product of the others) / below: its derivatives are
-        # the sums of products that leave out one, or two, of the others
-        products = [jnp.ones_like(below), jnp.zeros_like(below), jnp.zeros_like(below)]
+        # the sums of products that leave out one, or two, ... of the others
+        products = [jnp.ones_like(below)] + [jnp.zeros_like(below)] * order
         for y in others:
-            products = [
-                products[0] * y,
-                products[1] * y + products[0],
-                products[2] * y + products[1],
-            ]
-        d1 = d1 + (products[1] / below)[:, None] * change[:, k]
-        d2 = d2 + (2.0 * products[2] / below)[:, None] * change[:, k]
-    return d1, d2
+            lower = [jnp.zeros_like(below), *products[:-1]]
+            products = [p * y + q for p, q in zip(products, lower, strict=True)]
+        for r in range(order):
+            times = math.factorial(r + 1)
+            totals[r] = totals[r] + (times * products[r + 1] / below)[:, None] * change[:, k]
+    return tuple(totals)
+
+
+def increasing(sigma: Float[Array, " n"], real: int | Int[Array, ""]) -> Float[Array, " n"]:
+    """The parameter with any increasing tail past its real samples, never weighted."""
+    n = sigma.size
+    mean = (sigma[-1] - sigma[0]) / (n - 1)
+    beyond = jnp.maximum(jnp.arange(n) - (real - 1), 0)
+    return sigma + jnp.where(mean > 0.0, mean, 1.0) * beyond.astype(sigma.dtype)
 
 
 def usage(
@@ -231,7 +238,7 @@ def usage(
     """
     limits = limits if isinstance(limits, Limits) else Limits.of(limits)
     parameter = arc if sigma is None else sigma
-    kept, index = _distinct(parameter)
+    kept, index = distinct(parameter)
     d1, d2 = (x[index] for x in derivatives(axes[kept], parameter[kept], index[-1] + 1))
     spacing = jnp.diff(parameter)
     moving = spacing > 0.0
@@ -277,7 +284,7 @@ def _limiting(dq, ddq, length_rate, spacing, programmed, limits, b):
     return jnp.argmax(jnp.concatenate(shares, axis=1), axis=1)
 
 
-def _distinct(sigma: Float[Array, " n"]) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
+def distinct(sigma: Float[Array, " n"]) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
     """Samples that move on, in order (padded with the last), and each sample's place."""
     n = sigma.size
     mean = (sigma[-1] - sigma[0]) / (n - 1)
