@@ -3,18 +3,28 @@
 - kinematics   axis positions of a posture, and the posture of axis positions
 - sweep        the fastest motion along a path whose derivatives are known
 - feed         feed, time and what limits them along a sampled path
+- shape        how the squared rate runs along the path when jerk is bounded
+- banded       linear systems whose unknowns meet only their neighbours
+- interior     the least time within limits, jerk included
+- jerk         feed, time and what limits them when jerk is honoured
+- usage        how much of each limit a time law uses, between the samples too
 - loop         the feed in one loop of the trochoid that is run again and again
 """
 
 from .feed import (
     Limits as Limits,
     TimeLaw as TimeLaw,
-    Usage as Usage,
     derivatives as derivatives,
     limiting_name as limiting_name,
     time_law as time_law,
     time_law_from_derivatives as time_law_from_derivatives,
-    usage as usage,
+)
+from .jerk import (
+    Fault as Fault,
+    JerkLaw as JerkLaw,
+    check as check,
+    jerk_law as jerk_law,
+    jerk_law_from_derivatives as jerk_law_from_derivatives,
 )
 from .kinematics import (
     forward as forward,
@@ -22,3 +32,4 @@ from .kinematics import (
     inverse_path as inverse_path,
 )
 from .loop import loop_rate as loop_rate
+from .usage import Usage as Usage, usage as usage

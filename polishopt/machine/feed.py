@@ -2,12 +2,10 @@ r"""Feed: how fast the contact point can really go along a sampled path.
 
 `sweep` knows the fastest motion from the derivatives of the axes. Here these come from
 the axis positions at the samples, and the motion becomes feed, time and the limit that
-holds at each sample. `usage` checks a time law against the limits between the samples.
+holds at each sample.
 """
 
-import functools
 import math
-from collections.abc import Callable
 from typing import SupportsInt
 
 import equinox as eqx
@@ -32,17 +30,6 @@ class TimeLaw(eqx.Module):
     """What keeps the feed from being higher at each sample, see `limiting_name`."""
     total: Scalar
     """Time for the whole path [s]: the last of `time`, but cheaper to differentiate."""
-
-
-class Usage(eqx.Module):
-    """The largest share of each limit that a time law uses; 1 is all of it."""
-
-    programmed: Scalar
-    """Of the programmed feed [-]."""
-    speed: Float[Array, " m"]
-    """Of each axis's speed [-]."""
-    acceleration: Float[Array, " m"]
-    """Of each axis's acceleration [-]."""
 
 
 def limiting_name(code: SupportsInt, names: tuple[str, ...] = AXES) -> str:
@@ -205,69 +192,6 @@ def increasing(sigma: Float[Array, " n"], real: int | Int[Array, ""]) -> Float[A
     return sigma + jnp.where(mean > 0.0, mean, 1.0) * beyond.astype(sigma.dtype)
 
 
-def usage(
-    axes: Float[Array, "n m"],
-    law: TimeLaw,
-    limits: Limits | Machine,
-    arc: Float[Array, " n"],
-    programmed: Scalar,
-    sigma: Float[Array, " n"] | None = None,
-    path: Callable[[Scalar], Float[Array, " m"]] | None = None,
-    finer: int = 10,
-) -> Usage:
-    """How much of each limit a time law uses, looked at between the samples too.
-
-    Between samples the squared rate is linear, as `sweep` takes it, and the path is
-    `path` or, without one, the quintic through the positions and derivatives at the
-    samples. For checks: it holds `finer` values of everything for each sample.
-
-    Args:
-        axes: Axis positions at the samples [mm or rad].
-        law: The time law to check.
-        limits: The limits of the axes, or the machine that has them.
-        arc: Length of the contact path up to each sample [mm].
-        programmed: Programmed feed of the contact point [mm/s].
-        sigma: Path parameter; the arc itself if not given.
-        path: Axis positions as a function of the path parameter, if known exactly.
-        finer: Points to look at in each interval.
-
-    Returns:
-        The largest use of each limit [-].
-
-    Source: Own derivation.
-    """
-    limits = limits if isinstance(limits, Limits) else Limits.of(limits)
-    parameter = arc if sigma is None else sigma
-    kept, index = distinct(parameter)
-    d1, d2 = (x[index] for x in derivatives(axes[kept], parameter[kept], index[-1] + 1))
-    spacing = jnp.diff(parameter)
-    moving = spacing > 0.0
-    h = jnp.where(moving, spacing, 1.0)
-    b = law.rate**2
-    a = jnp.where(moving, jnp.diff(b) / (2.0 * h), 0.0)
-
-    def within(t: Scalar) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-        """Uses of speed and acceleration at the fraction t of every interval."""
-        if path is not None:
-            here = parameter[:-1] + t * spacing
-            first, second = jax.vmap(functools.partial(_slope_and_bend, path))(here)
-        else:
-            pieces = (axes[:-1], axes[1:], d1[:-1], d1[1:], d2[:-1], d2[1:])
-            first, second = _quintic(t, h[:, None], *pieces)
-        b_here = (b[:-1] + t * (b[1:] - b[:-1]))[:, None]
-        speed = jnp.abs(first) * jnp.sqrt(jnp.maximum(b_here, 0.0)) / limits.speed[None]
-        force = jnp.abs(first * a[:, None] + second * b_here) / limits.acceleration[None]
-        speed = jnp.where(moving[:, None], speed, 0.0)
-        return speed.max(0), jnp.where(moving[:, None], force, 0.0).max(0)
-
-    speed, force = jax.lax.map(within, jnp.linspace(0.0, 1.0, finer + 1))
-    return Usage(
-        programmed=jnp.max(law.feed) / programmed,
-        speed=speed.max(0),
-        acceleration=force.max(0),
-    )
-
-
 def _limiting(dq, ddq, length_rate, spacing, programmed, limits, b):
     """Code of the limit that is used most at each sample."""
     moving = spacing > 0.0
@@ -292,30 +216,6 @@ def distinct(sigma: Float[Array, " n"]) -> tuple[Int[Array, " n"], Int[Array, " 
     on = on.at[0].set(True)
     kept = jnp.nonzero(on, size=n, fill_value=n - 1)[0]
     return kept, jnp.cumsum(on) - 1
-
-
-def _slope_and_bend(
-    path: Callable[[Scalar], Float[Array, " m"]], s: Scalar
-) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-    """First and second derivative of a path by its parameter."""
-
-    def slope(s: Scalar) -> Float[Array, " m"]:
-        return jax.jvp(path, (s,), (jnp.ones_like(s),))[1]
-
-    return jax.jvp(slope, (s,), (jnp.ones_like(s),))
-
-
-def _quintic(t, h, q0, q1, d0, d1, s0, s1):
-    """Derivatives of the quintic with given values, slopes and second derivatives."""
-    u, w = d0 * h, d1 * h
-    p, r = s0 * h**2, s1 * h**2
-    rise = q1 - q0
-    c3 = 10.0 * rise - 6.0 * u - 4.0 * w - 1.5 * p + 0.5 * r
-    c4 = -15.0 * rise + 8.0 * u + 7.0 * w + 1.5 * p - r
-    c5 = 6.0 * rise - 3.0 * (u + w) - 0.5 * (p - r)
-    first = u + t * (p + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5)))
-    second = p + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5))
-    return first / h, second / h**2
 
 
 def _safe_sqrt(x: Float[Array, " n"]) -> Float[Array, " n"]:

@@ -3,8 +3,9 @@ r"""Interior: the least time within limits, by an interior-point method along th
 The unknowns are the coefficients of y (see `shape`). At a sample, with $D = y^{-1/2}$,
 
 - time is $\sum_i w_i D_i$, convex in y;
-- a speed is a bound $y \le$ cap, an acceleration a strip $|\alpha_0 y + \alpha_1 y'| \le 1$;
-- a jerk is $\sqrt y\,|\gamma_0 y + \gamma_1 y' + \gamma_2 y''| \le 1$, so
+- a speed is a bound on y, that is, on its coefficients;
+- an acceleration is a strip $|\alpha_0 y + \alpha_1 y'| \le 1$;
+- a jerk, at either end of an interval, is $\sqrt y\,|\gamma_0 y + \gamma_1 y' + \gamma_2 y''| \le 1$, so
   $|\gamma_0 y + \gamma_1 y' + \gamma_2 y''| \le D(y)$.
 
 Only the last is not convex. Its right side is: the tangent to D lies below D, so a step
@@ -24,6 +25,7 @@ has the right derivatives whatever the loop before it did (implicit function the
 Source: Own derivation.
 """
 
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -32,11 +34,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from . import banded
-from .shape import Stencil, apply, assemble, gather, inner
+from .shape import Stencil, apply, assemble, gather, total
 
 
 # Barrier at the end and at the start, as a share of each sample's time; its fall a step.
-MU, MU_START, FALL = 3e-4, 0.05, 0.5
+MU, MU_START = 2e-4, 0.05
+# Its fall in a step, and in one that follows from limits nearly met.
+FALL, FALL_FAST, NEAR = 0.5, 0.25, 0.3
 # Least share of itself that a slack or a multiplier keeps in a step, and a coefficient
 # its least and largest multiple.
 KEEP, LEAST, MOST = 0.2, 0.3, 3.0
@@ -49,20 +53,36 @@ class Rows(eqx.Module):
 
     weight: Float[Array, " n"]
     """Time at each sample is this over the root of y."""
-    slow: Float[Array, " n"]
-    """One over the largest y that the speeds allow."""
+    slow: Float[Array, " n+2"]
+    """One over the largest coefficients that the speeds allow."""
     force: Float[Array, "2 k n"]
     r"""$\alpha_0, \alpha_1$ of the accelerations."""
     jerk: Float[Array, "3 k n"]
     r"""$\gamma_0, \gamma_1, \gamma_2$ of the jerks."""
+    step: Float[Array, " n"]
+    """Length of the interval that follows, zero after the last sample."""
 
 
 class Sides(NamedTuple):
     """One number for each limit and sample; accelerations and jerks have two sides."""
 
-    slow: Float[Array, " n"]
+    slow: Float[Array, " n+2"]
     force: Float[Array, "2 k n"]
     jerk: Float[Array, "2 k n"]
+    """At the start of each interval."""
+    then: Float[Array, "2 k n"]
+    """At its end."""
+
+
+def kept(x, near: Array):
+    """The same numbers, each worked out once.
+
+    XLA would otherwise work out again, in each of its loops, what several of them read: on
+    CPU it drops its own barriers before it forms loops. It never repeats a division, so
+    everything is divided by a one that it cannot see through, made from any number `near`.
+    """
+    one = jnp.where(jnp.isnan(near), near, jnp.ones_like(near))
+    return jax.tree.map(lambda v: v / one, x)
 
 
 class Found(eqx.Module):
@@ -79,141 +99,235 @@ class Found(eqx.Module):
     converged: Bool[Array, ""]
 
 
-def search(rows: Rows, stencil: Stencil, rest, start: Float[Array, " n"]) -> Found:
+class Here(NamedTuple):
+    """y, its derivatives and D at one end of the intervals."""
+
+    y: Float[Array, " n"]
+    y1: Float[Array, " n"]
+    y2: Float[Array, " n"]
+    bound: Float[Array, " n"]
+    """D, the root of 1/y."""
+    fall: Float[Array, " n"]
+    """Derivative of D by y."""
+
+
+def search(rows: Rows, stencil: Stencil, start: Float[Array, " n+2"]) -> Found:
     """The time-optimal y to the accuracy of the barrier; not for differentiation.
 
     Args:
         rows: The limits at the samples.
         stencil: How coefficients give y.
-        rest: Whether the path starts and ends at rest.
-        start: A guess of y at the samples, within a factor of some of the answer.
+        start: A guess of the coefficients, within a factor of some of the answer.
     """
-    inside = inner(stencil, rest)
-    tolerance = 1e-7 if start.dtype == jnp.float64 else 1e-3
-    y, y1, y2 = apply(stencil, start)
-    share = rows.weight / jnp.sqrt(y)
-    slack = jax.tree.map(lambda g: jnp.maximum(g, 0.1), _room(rows, y, y1, y2))
-    slack = slack._replace(jerk=slack.jerk / jnp.sqrt(y))
+    tolerance = 1e-5 if start.dtype == jnp.float64 else 1e-3
+    ends = _both(rows, apply(stencil, start))
+    slack = _room(rows, start, ends)
+    slack = slack._replace(
+        slow=jnp.maximum(slack.slow, 0.1),
+        force=jnp.maximum(slack.force, 0.1),
+        jerk=jnp.maximum(slack.jerk, 0.1 * ends[0].bound),
+        then=jnp.maximum(slack.then, 0.1 * ends[1].bound),
+    )
     mu = jnp.asarray(MU_START, start.dtype)
-    multiplier = jax.tree.map(lambda s: mu * share / s, slack)
+    level = _level(rows, ends[0], mu)
+    multiplier = jax.tree.map(jnp.divide, level, slack)
 
     def unfinished(state):
         return (state[-1] < STEPS) & ~state[-2]
 
     def step(state):
         c, multiplier, slack, mu, _, _, count = state
-        y, y1, y2 = apply(stencil, c)
-        root = jnp.sqrt(y)
-        slope = -0.5 / (y * root)
-        room = _room(rows, y, y1, y2)
-        room = room._replace(jerk=room.jerk / root)
-        level = mu * rows.weight / root
-        w = jax.tree.map(lambda l, s: l / s, multiplier, slack)
-        push = jax.tree.map(lambda s, w, g: level / s - w * (g - s), slack, w, room)
-        down = gather(stencil, _force(rows, slope, push))
-        bend = jnp.maximum(rows.weight - jnp.sum(multiplier.jerk, axis=(0, 1)), 0.0)
-        matrix = _matrix(rows, stencil, inside, slope, w, 0.75 * bend / (y * y * root))
-        dc = banded.solve(matrix, jnp.where(inside, down, 0.0))
-        move = _change(rows, slope, *apply(stencil, dc))
-        ds = jax.tree.map(lambda m, g, s: m + g - s, move, room, slack)
-        new = jax.tree.map(lambda s, w, d: level / s - w * d, slack, w, ds)
-        off = jax.tree.map(lambda g, s: jnp.abs(g - s), room, slack)
-        off = off._replace(jerk=off.jerk * root)
-        excess = jnp.maximum(off.slow, jnp.max(off.force, axis=(0, 1)))
-        excess = jnp.maximum(excess, jnp.max(off.jerk, axis=(0, 1)))
-        multiplier = jax.tree.map(lambda l, x: jnp.maximum(x, KEEP * l), multiplier, new)
+        ends = _both(rows, kept(apply(stencil, c), mu))
+        room, level = _room(rows, c, ends), _level(rows, ends[0], mu)
+        over = jax.tree.map(lambda s: 1.0 / s, slack)
+        w = jax.tree.map(jnp.multiply, multiplier, over)
+        pull = jax.tree.map(jnp.multiply, level, over)
+        lack = jax.tree.map(jnp.subtract, room, slack)
+        push = jax.tree.map(lambda p, w, g: p - w * g, pull, w, lack)
+        down = _down(rows, stencil, ends, push, mu)
+        bends = _bends(rows, ends, multiplier)
+        bends = (jnp.maximum(bends[0] + bends[1], 0.0), jnp.zeros_like(bends[1]))
+        dc = banded.solve(_matrix(rows, stencil, ends, w, bends), down)
+        move = _change(rows, dc, ends, _both(rows, kept(apply(stencil, dc), mu)))
+        ds = jax.tree.map(jnp.add, move, lack)
+        multiplier = jax.tree.map(
+            lambda l, p, w, d: jnp.maximum(p - w * d, KEEP * l), multiplier, pull, w, ds
+        )
         slack = jax.tree.map(lambda s, d: jnp.maximum(s + d, KEEP * s), slack, ds)
-        ratio = dc / c
-        still = jnp.max(jnp.abs(jnp.where(inside, ratio, 0.0))) < jnp.sqrt(tolerance)
-        done = still & (jnp.max(excess) < tolerance) & (mu <= MU)
+        excess = _worst(lack, ends)
+        ratio = jnp.where(stencil.unknown, dc / c, 0.0)
+        still = jnp.max(jnp.abs(ratio)) < jnp.sqrt(tolerance)
+        most = jnp.max(excess)
+        done = still & (most < tolerance) & (mu <= MU)
         c = c * jnp.clip(1.0 + ratio, LEAST, MOST)
-        mu = jnp.maximum(FALL * mu, MU)
+        mu = jnp.maximum(jnp.where(most < NEAR, FALL_FAST, FALL) * mu, MU)
         return c, multiplier, slack, mu, excess, done, count + 1
 
-    state = (start, multiplier, slack, mu, jnp.zeros_like(y), jnp.array(False), 0)
+    none = jnp.zeros_like(rows.weight)
+    state = (start, multiplier, slack, mu, none, jnp.array(False), 0)
     c, multiplier, slack, _, excess, done, count = jax.lax.while_loop(
         unfinished, step, state
     )
     return Found(c, multiplier, slack, jnp.asarray(count), excess, done)
 
 
-def polish(rows: Rows, stencil: Stencil, rest, found: Found) -> Float[Array, " n"]:
+def polish(rows: Rows, stencil: Stencil, found: Found) -> Float[Array, " n+2"]:
     """What was found, with its derivatives by the rows and the stencil."""
-    inside = inner(stencil, rest)
-    found, still = jax.lax.stop_gradient((found, (rows, stencil)))
-    y = apply(still[1], found.c)[0]
-    root = jnp.sqrt(y)
-    w = jax.tree.map(lambda l, s: l / s, found.multiplier, found.slack)
-    bend = still[0].weight - jnp.sum(found.multiplier.jerk, axis=(0, 1))
-    slope = -0.5 / (y * root)
-    matrix = _matrix(still[0], still[1], inside, slope, w, 0.75 * bend / (y * y * root))
+    found, held, table = jax.lax.stop_gradient((found, rows, stencil))
+    ends = _both(held, apply(table, found.c))
+    w = jax.tree.map(jnp.divide, found.multiplier, found.slack)
+    matrix = _matrix(held, table, ends, w, _bends(held, ends, found.multiplier))
     c = found.c
     for _ in range(2):
-        y, y1, y2 = apply(stencil, c)
-        root = jnp.sqrt(y)
-        room = _room(rows, y, y1, y2)
-        room = room._replace(jerk=room.jerk / root)
-        level = MU * rows.weight / root
-        push = jax.tree.map(lambda g: level / g, room)
-        down = gather(stencil, _force(rows, -0.5 / (y * root), push))
-        c = c + banded.solve(matrix, jnp.where(inside, down, 0.0))
+        ends = _both(rows, apply(stencil, c))
+        room, level = _room(rows, c, ends), _level(rows, ends[0], jnp.full_like(c[0], MU))
+        push = jax.tree.map(jnp.divide, level, room)
+        c = c + banded.solve(matrix, _down(rows, stencil, ends, push, rows.weight[0]))
     return jnp.where(found.converged, c, found.c)
 
 
-def _room(rows: Rows, y, y1, y2) -> Sides:
-    """What is left of each limit, as a share of it."""
-    force = rows.force[0] * y[None] + rows.force[1] * y1[None]
-    jerk = rows.jerk[0] * y[None] + rows.jerk[1] * y1[None] + rows.jerk[2] * y2[None]
-    jerk = jnp.sqrt(y)[None] * jerk
+def _both(rows: Rows, parts) -> tuple[Here, Here]:
+    """What holds at the start and at the end of each interval."""
+    y, y1, y2 = parts
+    h = rows.step
+    after = (y + h * (y1 + 0.5 * h * y2), y1 + h * y2, y2)
+
+    def here(y, y1, y2):
+        bound = 1.0 / jnp.sqrt(y)
+        return Here(y, y1, y2, bound, -0.5 * bound / y)
+
+    return here(y, y1, y2), here(*after)
+
+
+def _level(rows: Rows, start: Here, mu) -> Sides:
+    """Barrier of each limit: a share of the time at its sample."""
+    level = mu * rows.weight * start.bound
+    k = rows.force.shape[1], rows.jerk.shape[1]
+    force, jerk = (jnp.broadcast_to(level, (2, k, level.size)) for k in k)
+    return Sides(jnp.pad(level, 1, mode="edge"), force, jerk, jerk)
+
+
+def _along(gamma, h: Here):
+    """Jerk over the root of y."""
+    return gamma[0] * h.y + gamma[1] * h.y1 + gamma[2] * h.y2
+
+
+def _next(gamma):
+    """The jerk's rows at the next sample."""
+    return jnp.pad(gamma[..., 1:], ((0, 0), (0, 0), (0, 1)))
+
+
+def _room(rows: Rows, c, ends: tuple[Here, Here]) -> Sides:
+    """What is left of each limit; of those of jerk, over the root of y."""
+    start, end = ends
+    force = rows.force[0] * start.y + rows.force[1] * start.y1
+    jerk, then = _along(rows.jerk, start), _along(_next(rows.jerk), end)
     return Sides(
-        slow=1.0 - rows.slow * y,
+        slow=1.0 - rows.slow * c,
         force=jnp.stack([1.0 - force, 1.0 + force]),
-        jerk=jnp.stack([1.0 - jerk, 1.0 + jerk]),
+        jerk=jnp.stack([start.bound - jerk, start.bound + jerk]),
+        then=jnp.stack([end.bound - then, end.bound + then]),
     )
 
 
-def _change(rows: Rows, slope, y, y1, y2) -> Sides:
-    """How the rooms (those of jerk over the root of y) change with y, y' and y''."""
-    force = rows.force[0] * y[None] + rows.force[1] * y1[None]
-    jerk = rows.jerk[0] * y[None] + rows.jerk[1] * y1[None] + rows.jerk[2] * y2[None]
-    bound = (slope * y)[None]
+def _change(rows: Rows, dc, ends, moves) -> Sides:
+    """How the rooms change with the coefficients."""
+    start, end = moves
+    force = rows.force[0] * start.y + rows.force[1] * start.y1
+    jerk, then = _along(rows.jerk, start), _along(_next(rows.jerk), end)
+    low, high = ends[0].fall * start.y, ends[1].fall * end.y
     return Sides(
-        slow=-rows.slow * y,
+        slow=-rows.slow * dc,
         force=jnp.stack([-force, force]),
-        jerk=jnp.stack([bound - jerk, bound + jerk]),
+        jerk=jnp.stack([low - jerk, low + jerk]),
+        then=jnp.stack([high - then, high + then]),
     )
 
 
-def _force(rows: Rows, slope, push: Sides):
-    """Minus the gradient by y, y', y'' of time, and of the rooms weighted by `push`."""
+def _worst(lack: Sides, ends) -> Float[Array, " n"]:
+    """Largest distance of limits from their slacks at each sample, as a share of them."""
+    rows = [lack.slow[1:-1], *lack.force[0], *lack.force[1]]
+    for side, h in ((lack.jerk, ends[0]), (lack.then, ends[1])):
+        rows += [x / h.bound for x in (*side[0], *side[1])]
+    return functools.reduce(jnp.maximum, map(jnp.abs, rows))
+
+
+def _down(rows: Rows, stencil: Stencil, ends, push: Sides, near):
+    """Minus the gradient by c of time, and that of the rooms weighted by `push`."""
+    start, end = ends
     force = push.force[1] - push.force[0]
-    jerk, bound = push.jerk[1] - push.jerk[0], jnp.sum(push.jerk, axis=(0, 1))
-    y = -rows.weight * slope - rows.slow * push.slow + slope * bound
-    y = y + jnp.sum(rows.force[0] * force + rows.jerk[0] * jerk, axis=0)
-    y1 = jnp.sum(rows.force[1] * force + rows.jerk[1] * jerk, axis=0)
-    return y, y1, jnp.sum(rows.jerk[2] * jerk, axis=0)
+
+    def lean(gamma, side, h):
+        jerk = side[1] - side[0]
+        y = h.fall * total(total(side)) + total(gamma[0] * jerk)
+        return y, total(gamma[1] * jerk), total(gamma[2] * jerk)
+
+    y, y1, y2 = lean(rows.jerk, push.jerk, start)
+    after = kept(lean(_next(rows.jerk), push.then, end), near)
+    y = y - rows.weight * start.fall + total(rows.force[0] * force)
+    y1 = y1 + total(rows.force[1] * force)
+    h = rows.step
+    y, y1 = y + after[0], y1 + after[1] + h * after[0]
+    y2 = y2 + after[2] + h * (after[1] + 0.5 * h * after[0])
+    down = gather(stencil, kept((y, y1, y2), near)) - rows.slow * push.slow
+    return jnp.where(stencil.unknown, down, 0.0)
 
 
-def _matrix(rows: Rows, stencil: Stencil, inside, slope, w: Sides, bend) -> banded.Band:
-    """Newton's matrix for limits of weight w and the given curvature by y."""
+def _bends(rows: Rows, ends, multiplier: Sides):
+    """Second derivatives of time less the jerk's bounds, by y at start and end."""
+    start, end = (0.75 * h.bound / h.y**2 for h in ends)
+    here, then = total(total(multiplier.jerk)), total(total(multiplier.then))
+    return (rows.weight - here) * start, -then * end
+
+
+def _matrix(rows: Rows, stencil: Stencil, ends, w: Sides, bends) -> banded.Band:
+    """Newton's matrix for limits of weight w and the given curvatures by y."""
+
+    def jerks(gamma, side, h, bend):
+        g0, g1, g2 = gamma
+        both = side[0] + side[1]
+        # both sides of a jerk lean on D alike
+        lean = h.fall * (side[1] - side[0])
+        cross = g0 * both + lean
+        return (
+            bend + h.fall**2 * total(both) + total(g0 * (cross + lean)),
+            total(g1 * cross),
+            total(g2 * cross),
+            total(both * g1**2),
+            total(both * g1 * g2),
+            total(both * g2**2),
+        )
+
+    start, end = ends
+    near = rows.weight[0]
+    e00, e01, e02, e11, e12, e22 = kept(jerks(_next(rows.jerk), w.then, end, bends[1]), near)
+    # y and y' at the end are y + h y' + h^2/2 y'' and y' + h y'' at the start
+    h = rows.step
+    p, q = h, 0.5 * h**2
+    f1, f2 = p * e00 + e01, q * e00 + p * e01 + e02
+    g2 = q * e01 + p * e11 + e12
+    later = (
+        e00,
+        f1,
+        f2,
+        p * f1 + p * e01 + e11,
+        p * f2 + g2,
+        q * f2 + p * g2 + q * e02 + p * e12 + e22,
+    )
+    h00, h01, h02, h11, h12, h22 = map(
+        jnp.add, jerks(rows.jerk, w.jerk, start, bends[0]), later
+    )
     a0, a1 = rows.force
-    g0, g1, g2 = rows.jerk
-    force, jerk = w.force[0] + w.force[1], w.jerk[0] + w.jerk[1]
-    # both sides of a jerk lean on D alike
-    lean = slope[None] * (w.jerk[1] - w.jerk[0])
-    cross = g0 * jerk + lean
-    h00 = bend + w.slow * rows.slow**2 + slope**2 * jnp.sum(jerk, axis=0)
-    h00 = h00 + jnp.sum(force * a0**2 + g0 * (cross + lean), axis=0)
-    h01 = jnp.sum(force * a0 * a1 + g1 * cross, axis=0)
-    h11 = jnp.sum(force * a1**2 + jerk * g1**2, axis=0)
-    h02 = jnp.sum(g2 * cross, axis=0)
-    h12 = jnp.sum(jerk * g1 * g2, axis=0)
-    h22 = jnp.sum(jerk * g2**2, axis=0)
-    diagonal, first, second = assemble(stencil, (h00, h01, h02, h11, h12, h22))
+    force = w.force[0] + w.force[1]
+    h00 = h00 + total(force * a0**2)
+    h01, h11 = h01 + total(force * a0 * a1), h11 + total(force * a1**2)
+    diagonal, first, second = assemble(stencil, kept((h00, h01, h02, h11, h12, h22), near))
+    diagonal = diagonal + w.slow * rows.slow**2
     # rounding must not cost definiteness; a coefficient that is none stands alone
-    tiny = 4.0 * jnp.finfo(diagonal.dtype).eps
-    diagonal = jnp.where(inside, diagonal * (1.0 + tiny), 1.0)
-    both = inside[:-1] & inside[1:]
-    first = jnp.where(jnp.pad(both, (0, 1)), first, 0.0)
-    both = inside[:-2] & inside[2:]
-    return banded.Band(diagonal, first, jnp.where(jnp.pad(both, (0, 2)), second, 0.0))
+    tiny, free = 4.0 * jnp.finfo(diagonal.dtype).eps, stencil.unknown
+    both, apart = free & jnp.roll(free, -1), free & jnp.roll(free, -2)
+    return banded.Band(
+        jnp.where(free, diagonal * (1.0 + tiny), 1.0),
+        jnp.where(both, first, 0.0),
+        jnp.where(apart, second, 0.0),
+    )

@@ -46,8 +46,10 @@ class JerkLaw(TimeLaw):
     """Second derivative of the path parameter by time at each sample [parameter/s^2]."""
     y: Float[Array, " n"]
     """Squared rate over the reference shape at each sample, see `shape`."""
+    y_slope: Float[Array, " n"]
+    """Its derivative by the path parameter."""
     y_bend: Float[Array, " n"]
-    """Its second derivative by the path parameter, linear between samples."""
+    """Its second derivative by the path parameter, in the interval that follows."""
     steps: Int[Array, ""]
     """Newton steps it took."""
     fault: Fault
@@ -146,14 +148,18 @@ def _law(parts, limits, sigma, index, programmed, rest) -> JerkLaw:
     sigma = increasing(sigma, last + 1)
     fault = _fault(parts, limits, programmed, real)
     rho = shape(sigma, sigma[0], sigma[last], _rise(sigma, last), rest)
+    halves = shape(
+        0.5 * (sigma[1:] + sigma[:-1]), sigma[0], sigma[last], _rise(sigma, last), rest
+    ).value
     table = stencil(sigma, last, rest)
     cap = _cap(parts[0], limits, programmed)
-    rows = _rows(parts, limits, cap, rho, sigma, real)
+    rows = _rows(parts, limits, cap, rho, halves, sigma, real, rest)
     frozen = jax.lax.stop_gradient((rows, table))
     start = jax.lax.stop_gradient(_start(parts, limits, cap, rho, sigma, last, rest))
-    found = jax.lax.stop_gradient(search(*frozen, rest, start))
-    c = polish(rows, table, rest, found)
-    y, y1, y2 = apply(table, c)
+    found = jax.lax.stop_gradient(search(*frozen, start))
+    y, y1, y2 = apply(table, polish(rows, table, found))
+    if rest[1]:  # the last interval is level
+        y, y1, y2 = (x.at[last].set(k * x[last - 1]) for x, k in ((y, 1), (y1, 0), (y2, 0)))
     rate = rho.root * jnp.sqrt(y)
     change = 0.5 * (rho.slope * y + rho.value * y1)
     dt = jnp.where(real[1:], _duration(jnp.diff(sigma), rate, change), 0.0)
@@ -180,6 +186,7 @@ def _law(parts, limits, sigma, index, programmed, rest) -> JerkLaw:
         acceleration=(length[1] * b + length[0] * change)[index],
         rate_change=change[index],
         y=y[index],
+        y_slope=y1[index],
         y_bend=y2[index],
         steps=found.steps,
         fault=eqx.tree_at(lambda f: f.sample, fault, place),
@@ -228,17 +235,24 @@ def _limited(limits: Limits, path, each):
     return slice(0, m + 1), jnp.append(each, path)
 
 
-def _rows(parts, limits: Limits, cap, rho: Shape, sigma, real) -> Rows:
+def _rows(parts, limits: Limits, cap, rho: Shape, halves, sigma, real, rest) -> Rows:
     """The limits at the samples as rows of y, y' and y''."""
     h = jnp.diff(sigma)
     weight = jnp.where(real[1:], _duration(h, rho.root, 0.5 * rho.slope), 0.0)
     weight = 0.5 * (jnp.pad(weight, (1, 0)) + jnp.pad(weight, (0, 1)))
-    # a sample that is none is weighed and limited as if it stood alone
-    weight = jnp.where(real, weight, jnp.mean(h))
+    # a sample that is none is weighed and limited as if it stood alone, and so is a rest
+    last = jnp.sum(real) - 1
+    alone = ~real | ((jnp.arange(sigma.size) == last) & rest[1])
+    weight = weight.at[last - 1].add(jnp.where(alone[last], weight[last], 0.0))
+    weight = jnp.where(alone, jnp.mean(h), weight)
+    halves = jnp.where(halves > 0.0, halves, 1.0)
     v, s, root, bend = rho.value[None], rho.slope[None], rho.root[None], rho.root_bend[None]
-    use, most = _limited(limits, limits.path_acceleration, limits.acceleration)
+    use, hold = _limited(limits, limits.path_acceleration, limits.acceleration)
     d1, d2 = parts[0][use], parts[1][use]
     force = jnp.stack([d2 * v + 0.5 * d1 * s, 0.5 * d1 * v])
+    # in the first intervals the acceleration is bent too: by at most this much
+    way = [x for x, still in ((sigma - sigma[0], rest[0]), (sigma[last] - sigma, rest[1])) if still]
+    tight = 1.0 + sum((0.1 / (1.0 + (x / jnp.mean(h)) ** 2) for x in way), jnp.zeros_like(sigma))
     use, hard = _limited(limits, limits.path_jerk, limits.jerk)
     d1, d2, d3 = (p[use] for p in parts)
     jerk = jnp.stack(
@@ -249,11 +263,19 @@ def _rows(parts, limits: Limits, cap, rho: Shape, sigma, real) -> Rows:
         ]
     )
     keep = real[None, None]
+    # What lies between bounds on coefficients half-way between samples exceeds the bound
+    # by an eighth of its second difference: beside a rest 1/rho is bent too much for that.
+    low, mid, high = (1.0 / jnp.maximum(x, 0.1 * halves) for x in (v[0, :-1], halves, v[0, 1:]))
+    most = jnp.pad(2.0 * mid - 0.5 * (low + high), (1, 2), mode="edge")
+    most = most.at[last + 1].set(most[last])
+    slow = jnp.pad(cap, (1, 2), mode="edge")
+    slow = 0.5 * (slow[1:] + slow[:-1]) / most
     return Rows(
         weight=weight,
-        slow=jnp.where(real, cap * rho.value, cap),
-        force=jnp.where(keep, _share(force, most), 0.0),
+        slow=slow,
+        force=jnp.where(keep, _share(force * tight, hold), 0.0),
         jerk=jnp.where(keep, _share(jerk, hard), 0.0),
+        step=jnp.where(jnp.arange(sigma.size) < last, jnp.pad(h, (0, 1)), 0.0),
     )
 
 
@@ -293,7 +315,8 @@ def _start(parts, limits: Limits, cap, rho: Shape, sigma, last, rest):
     y = jnp.where(moving, z, 1.0) ** (4.0 / 3.0) / jnp.where(moving, rho.value, 1.0)
     y = jnp.where(index <= last, y, 0.5 / cap)
     inward = jnp.where(index == last, last - 1, jnp.maximum(index, 1))
-    return jnp.where(moving, y, y[inward])
+    y = jnp.pad(jnp.where(moving, y, y[inward]), (1, 2), mode="edge")
+    return 0.5 * (y[1:] + y[:-1])
 
 
 def _limiting(rows: Rows, parts, limits: Limits, cap, b, y, y1, y2):

@@ -5,16 +5,20 @@ rest as $x^{4/3}$, $x$ being the way from it: constant jerk $j$ from rest goes
 $x = j t^3/6$, so $\dot x^2 = (j/2)^2 (6x/j)^{4/3}$. No spline leaves zero like that. So
 
 $$b(\sigma) = \rho(\sigma)\, y(\sigma), \qquad
-  \rho = \Big[\frac{x}{x + \ell}\Big]^{4/3}$$
+  \rho = \Big[\frac{x^2}{x^2 + \ell^2}\Big]^{2/3}$$
 
-with one such factor for each rest ($\rho = 1$ far from rests), and $y > 0$ is the cubic
-spline with its knots at the samples. Next to a rest $y$ is constant up to the first
-sample, which is a motion of constant jerk, and level where that ends. At a free end $y$
-is quadratic in the last interval. So a path of n samples has n coefficients at most, and
-$y$ and its two derivatives at a sample take three of them.
+with one such factor for each rest ($\rho = 1$ far from rests), and $y > 0$ is a quadratic
+spline with its knots at the samples: jerk is as good as constant in an interval and jumps
+at samples, and acceleration is as good as linear, so that what holds at both ends of an
+interval holds in between. In the interval next to a rest $y$ is constant, which is a
+motion of constant jerk. A path of n samples has n + 1 coefficients, less two for a rest;
+$y$ and $y'$ at a sample take two of them, and $y''$ in the interval that follows takes one
+more. As y lies between its coefficients, bounds on y are bounds on these.
 
 Source: Own derivation.
 """
+
+import functools
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -39,16 +43,17 @@ class Shape(eqx.Module):
 
 
 class Stencil(eqx.Module):
-    """What the three coefficients around each sample give there.
+    """What three coefficients, from its own place on, give at each sample.
 
-    Those of the first and of the last real sample are taken around their neighbours.
+    There are n + 2 coefficients for n samples; the last is always spare.
     """
 
     value: Float[Array, "3 n"]
     slope: Float[Array, "3 n"]
     bend: Float[Array, "3 n"]
-    last: Int[Array, ""]
-    """Place of the last real sample."""
+    """In the interval that follows."""
+    unknown: Bool[Array, " n+2"]
+    """Which coefficients are free; the others stand alone."""
 
 
 def shape(
@@ -63,8 +68,9 @@ def shape(
     for still, way, sign in zip(rest, (sigma - start, end - sigma), (1.0, -1.0), strict=True):
         if still:
             x = jnp.maximum(way, 0.0)
-            k, k1 = x / (x + rise), sign * rise / (x + rise) ** 2
-            k2 = -2.0 * rise / (x + rise) ** 3
+            z = x / rise
+            w = 1.0 / jnp.sqrt(1.0 + z**2)
+            k, k1, k2 = z * w, sign * w**3 / rise, -3.0 * z * w**5 / rise**2
             g, d, c = g * k, d * k + g * k1, c * k + 2.0 * d * k1 + g * k2
     moving = g > 0.0
     third = jnp.where(moving, jnp.cbrt(jnp.where(moving, g, 1.0)), 0.0)
@@ -79,107 +85,69 @@ def shape(
 def stencil(
     sigma: Float[Array, " n"], last: Int[Array, ""], rest: tuple[bool, bool]
 ) -> Stencil:
-    """Values, slopes and second derivatives of cubic B-splines at their knots.
+    """Values, slopes and second derivatives of quadratic B-splines at their knots.
 
     Args:
-        sigma: Strictly increasing knots, at least four of them real.
-        last: Place of the last real knot; beyond it, a coefficient is its own value.
+        sigma: Strictly increasing knots.
+        last: Place of the last real knot. Those beyond, and the last one if it is a rest,
+            are given a coefficient of their own, and none of the real ones.
         rest: Whether the path starts and ends at rest.
     """
     h = jnp.diff(sigma)
-    # one interval more at either end, as long as its neighbour
-    h = jnp.concatenate([h[:1], h[:1], h, h[-1:], h[-1:]])
-    before, left, right, after = h[:-3], h[1:-2], h[2:-1], h[3:]
-    both = left + right
-    down, up = 1.0 / ((before + both) * both), 1.0 / ((both + after) * both)
-
-    def row(first, third, total):
-        return jnp.stack([first, total - first - third, third])
-
-    value = row(right**2 * down, left**2 * up, 1.0)
-    slope = row(-3.0 * right * down, 3.0 * left * up, 0.0)
-    bend = row(6.0 * down, 6.0 * up, 0.0)
+    h = jnp.concatenate([h[:1], h, h[-1:], h[-1:]])
+    before, here, after = h[:-2], h[1:-1], h[2:]  # of each sample
+    near, far = before + here, here + after
+    zero, one = jnp.zeros_like(near), jnp.ones_like(near)
+    value = jnp.stack([here / near, before / near, zero])
+    slope = jnp.stack([-2.0 / near, 2.0 / near, zero])
+    left, right = 2.0 / (near * here), 2.0 / (far * here)
+    bend = jnp.stack([left, -left - right, right])
     index = jnp.arange(sigma.size)
-    real = index <= last
-    own = jnp.array([[0.0], [1.0], [0.0]], value.dtype)
-    value = jnp.where(real[None], value, own)
-    slope, bend = jnp.where(real[None], slope, 0.0), jnp.where(real[None], bend, 0.0)
-    tables = [value, slope, bend]
-    zero = jnp.zeros_like(last)
-    for still, at, inward in zip(rest, (zero, last), (1, -1), strict=True):
-        tables = _close(tables, still, at, inward)
-    return Stencil(*tables, last=last)
-
-
-def _close(tables, still: bool, end, inward: int):
-    """Take the coefficient beyond an end (or, at a rest, the end's own) out of its rows."""
-    value, slope, bend = tables
-    beside = end + inward
-    # columns in the order outermost, middle, innermost
-    order = jnp.array([0, 1, 2] if inward > 0 else [2, 1, 0])
-    if still:
-        s = slope[order, beside]
-        gone = jnp.stack([jnp.zeros_like(s[0]), -s[1] / s[0], -s[2] / s[0]])
-        out = []
-        for x in (value, slope, bend):
-            y = x[order, beside]
-            y = jnp.stack([jnp.zeros_like(y[0]), y[1], y[2]]) + y[0] * gone
-            out.append(x.at[order, beside].set(y))
-        level = jnp.zeros_like(s)
-        return [
-            out[0].at[order, end].set(out[0][order, beside]),
-            out[1].at[order, end].set(level),
-            out[2].at[order, end].set(level),
-        ]
-    e, i = bend[order, end], bend[order, beside]
-    # equal second derivatives at the end and beside it
-    beyond = jnp.stack([i[0] - e[1], i[1] - e[2], i[2]]) / e[0]
-    out = []
-    for x in (value, slope, bend):
-        y = x[order, end]
-        y = y[0] * beyond + jnp.stack([y[1], y[2], jnp.zeros_like(y[0])])
-        out.append(x.at[order, end].set(y))
-    return out
+    own = jnp.stack([zero, zero, one])
+    tables = [value, slope, bend.at[:, last].set(0.0)]
+    place = jnp.arange(sigma.size + 2)
+    unknown = place != last + 2
+    if rest[0]:  # the first three coefficients are one
+        tables = [x.at[:, 1].set(jnp.stack([0.0 * x[0, 1], x[0, 1] + x[1, 1], x[2, 1]]))
+                  for x in tables]
+        tables = [x.at[:, 0].set(k * own[:, 0]) for x, k in zip(tables, (1, 0, 0), strict=True)]
+        unknown = unknown & (place > 1)
+    if rest[1]:  # and so are the last three
+        k = last - 2
+        tables = [x.at[:, k].set(jnp.stack([x[0, k], x[1, k] + x[2, k], 0.0 * x[0, k]]))
+                  for x in tables]
+        k, first = last - 1, own[::-1, 0]
+        tables = [x.at[:, k].set(f * first) for x, f in zip(tables, (1, 0, 0), strict=True)]
+        unknown = (place != last) & (place != last + 1) & ((place > 1) | (not rest[0]))
+    alone = (index > last) | ((index == last) & rest[1])
+    value, slope, bend = (
+        jnp.where(alone[None], k * own, x) for x, k in zip(tables, (1, 0, 0), strict=True)
+    )
+    return Stencil(value, slope, bend, unknown)
 
 
 def apply(
-    s: Stencil, c: Float[Array, " n"]
+    s: Stencil, c: Float[Array, " n+2"]
 ) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
-    """y, y' and y'' at the samples for the coefficients c."""
-    around = _around(s, c)
-    return (
-        jnp.sum(s.value * around, axis=0),
-        jnp.sum(s.slope * around, axis=0),
-        jnp.sum(s.bend * around, axis=0),
+    """y and y' at the samples, and y'' after them, for the coefficients c."""
+    around = (c[:-2], c[1:-1], c[2:])
+    rows = (s.value, s.slope, s.bend)
+    value, slope, bend = (
+        total([w * x for w, x in zip(r, around, strict=True)]) for r in rows
     )
+    return value, slope, bend
 
 
-def _around(s: Stencil, c):
-    """The three coefficients that each sample looks at."""
-    n = c.size
-    at = jnp.clip(jnp.arange(n), 1, n - 2)
-    at = jnp.where(jnp.arange(n) == s.last, s.last - 1, at)
-    return c[at[None] + jnp.array([[-1], [0], [1]])]
+def total(terms):
+    """Sum along the first axis, term by term: XLA is slow to reduce a short axis."""
+    return functools.reduce(jnp.add, list(terms))
 
 
-def gather(s: Stencil, parts):
+def gather(s: Stencil, parts) -> Float[Array, " n+2"]:
     """The gradient by c of a function of (y, y', y''): the transpose of `apply`."""
     y, y1, y2 = parts
-    each = s.value * y[None] + s.slope * y1[None] + s.bend * y2[None]
-    return _collect(s, each)
-
-
-def _inside(s: Stencil, x):
-    """Move what the two end samples hold to the samples beside them (last axis)."""
-    x = x.at[..., 1].add(x[..., 0]).at[..., 0].set(0.0)
-    moved = x[..., s.last]
-    return x.at[..., s.last - 1].add(moved).at[..., s.last].set(0.0)
-
-
-def _collect(s: Stencil, each):
-    """Sum over samples of what they give their three coefficients."""
-    low, mid, high = _inside(s, each)
-    return mid + jnp.pad(low[1:], (0, 1)) + jnp.pad(high[:-1], (1, 0))
+    low, mid, high = s.value * y[None] + s.slope * y1[None] + s.bend * y2[None]
+    return jnp.pad(low, (0, 2)) + jnp.pad(mid, (1, 1)) + jnp.pad(high, (2, 0))
 
 
 def assemble(s: Stencil, hessian):
@@ -196,16 +164,7 @@ def assemble(s: Stencil, hessian):
     def entry(i, j):
         return v[i] * hv[j] + d[i] * hd[j] + e[i] * he[j]
 
-    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
-    ll, mm, hh, lm, mh, lh = _inside(s, jnp.stack([entry(i, j) for i, j in pairs]))
-    diagonal = mm + jnp.pad(ll[1:], (0, 1)) + jnp.pad(hh[:-1], (1, 0))
-    first = mh + jnp.pad(lm[1:], (0, 1))
-    second = jnp.pad(lh[1:], (0, 1))
-    return diagonal, first, second
-
-
-def inner(s: Stencil, rest: tuple[bool, bool]) -> Bool[Array, " n"]:
-    """Which coefficients are unknowns: those of rests follow from the ones beside them."""
-    index = jnp.arange(s.value.shape[1])
-    free = index >= (1 if rest[0] else 0)
-    return free & (index != s.last) if rest[1] else free
+    diagonal = jnp.pad(entry(0, 0), (0, 2)) + jnp.pad(entry(1, 1), (1, 1))
+    diagonal = diagonal + jnp.pad(entry(2, 2), (2, 0))
+    first = jnp.pad(entry(0, 1), (0, 2)) + jnp.pad(entry(1, 2), (1, 1))
+    return diagonal, first, jnp.pad(entry(0, 2), (0, 2))
