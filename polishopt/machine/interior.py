@@ -57,6 +57,8 @@ class Rows(eqx.Module):
     """One over the largest coefficients that the speeds allow."""
     force: Float[Array, "2 k n"]
     r"""$\alpha_0, \alpha_1$ of the accelerations."""
+    half: Float[Array, "2 k n"]
+    """The same half-way through the interval that follows."""
     jerk: Float[Array, "3 k n"]
     r"""$\gamma_0, \gamma_1, \gamma_2$ of the jerks."""
     step: Float[Array, " n"]
@@ -68,6 +70,8 @@ class Sides(NamedTuple):
 
     slow: Float[Array, " n+2"]
     force: Float[Array, "2 k n"]
+    half: Float[Array, "2 k n"]
+    """Of the acceleration half-way through each interval."""
     jerk: Float[Array, "2 k n"]
     """At the start of each interval."""
     then: Float[Array, "2 k n"]
@@ -120,13 +124,14 @@ def search(rows: Rows, stencil: Stencil, start: Float[Array, " n+2"]) -> Found:
         start: A guess of the coefficients, within a factor of some of the answer.
     """
     tolerance = 1e-5 if start.dtype == jnp.float64 else 1e-3
-    ends = _both(rows, apply(stencil, start))
+    ends = _places(rows, apply(stencil, start))
     slack = _room(rows, start, ends)
     slack = slack._replace(
         slow=jnp.maximum(slack.slow, 0.1),
         force=jnp.maximum(slack.force, 0.1),
+        half=jnp.maximum(slack.half, 0.1),
         jerk=jnp.maximum(slack.jerk, 0.1 * ends[0].bound),
-        then=jnp.maximum(slack.then, 0.1 * ends[1].bound),
+        then=jnp.maximum(slack.then, 0.1 * ends[2].bound),
     )
     mu = jnp.asarray(MU_START, start.dtype)
     level = _level(rows, ends[0], mu)
@@ -137,7 +142,7 @@ def search(rows: Rows, stencil: Stencil, start: Float[Array, " n+2"]) -> Found:
 
     def step(state):
         c, multiplier, slack, mu, _, _, count = state
-        ends = _both(rows, kept(apply(stencil, c), mu))
+        ends = _places(rows, kept(apply(stencil, c), mu))
         room, level = _room(rows, c, ends), _level(rows, ends[0], mu)
         over = jax.tree.map(lambda s: 1.0 / s, slack)
         w = jax.tree.map(jnp.multiply, multiplier, over)
@@ -148,7 +153,7 @@ def search(rows: Rows, stencil: Stencil, start: Float[Array, " n+2"]) -> Found:
         bends = _bends(rows, ends, multiplier)
         bends = (jnp.maximum(bends[0] + bends[1], 0.0), jnp.zeros_like(bends[1]))
         dc = banded.solve(_matrix(rows, stencil, ends, w, bends), down)
-        move = _change(rows, dc, ends, _both(rows, kept(apply(stencil, dc), mu)))
+        move = _change(rows, dc, ends, _places(rows, kept(apply(stencil, dc), mu)))
         ds = jax.tree.map(jnp.add, move, lack)
         multiplier = jax.tree.map(
             lambda l, p, w, d: jnp.maximum(p - w * d, KEEP * l), multiplier, pull, w, ds
@@ -174,29 +179,28 @@ def search(rows: Rows, stencil: Stencil, start: Float[Array, " n+2"]) -> Found:
 def polish(rows: Rows, stencil: Stencil, found: Found) -> Float[Array, " n+2"]:
     """What was found, with its derivatives by the rows and the stencil."""
     found, held, table = jax.lax.stop_gradient((found, rows, stencil))
-    ends = _both(held, apply(table, found.c))
+    ends = _places(held, apply(table, found.c))
     w = jax.tree.map(jnp.divide, found.multiplier, found.slack)
     matrix = _matrix(held, table, ends, w, _bends(held, ends, found.multiplier))
     c = found.c
     for _ in range(2):
-        ends = _both(rows, apply(stencil, c))
+        ends = _places(rows, apply(stencil, c))
         room, level = _room(rows, c, ends), _level(rows, ends[0], jnp.full_like(c[0], MU))
         push = jax.tree.map(jnp.divide, level, room)
         c = c + banded.solve(matrix, _down(rows, stencil, ends, push, rows.weight[0]))
     return jnp.where(found.converged, c, found.c)
 
 
-def _both(rows: Rows, parts) -> tuple[Here, Here]:
-    """What holds at the start and at the end of each interval."""
+def _places(rows: Rows, parts) -> list[Here]:
+    """What holds at the start of each interval, half-way and at its end."""
     y, y1, y2 = parts
-    h = rows.step
-    after = (y + h * (y1 + 0.5 * h * y2), y1 + h * y2, y2)
 
-    def here(y, y1, y2):
-        bound = 1.0 / jnp.sqrt(y)
-        return Here(y, y1, y2, bound, -0.5 * bound / y)
+    def here(h):
+        there = y + h * (y1 + 0.5 * h * y2)
+        bound = 1.0 / jnp.sqrt(there)
+        return Here(there, y1 + h * y2, y2, bound, -0.5 * bound / there)
 
-    return here(y, y1, y2), here(*after)
+    return [here(h) for h in (jnp.zeros_like(y), 0.5 * rows.step, rows.step)]
 
 
 def _level(rows: Rows, start: Here, mu) -> Sides:
@@ -204,7 +208,7 @@ def _level(rows: Rows, start: Here, mu) -> Sides:
     level = mu * rows.weight * start.bound
     k = rows.force.shape[1], rows.jerk.shape[1]
     force, jerk = (jnp.broadcast_to(level, (2, k, level.size)) for k in k)
-    return Sides(jnp.pad(level, 1, mode="edge"), force, jerk, jerk)
+    return Sides(jnp.pad(level, 1, mode="edge"), force, force, jerk, jerk)
 
 
 def _along(gamma, h: Here):
@@ -217,14 +221,16 @@ def _next(gamma):
     return jnp.pad(gamma[..., 1:], ((0, 0), (0, 0), (0, 1)))
 
 
-def _room(rows: Rows, c, ends: tuple[Here, Here]) -> Sides:
+def _room(rows: Rows, c, ends: list[Here]) -> Sides:
     """What is left of each limit; of those of jerk, over the root of y."""
-    start, end = ends
+    start, mid, end = ends
     force = rows.force[0] * start.y + rows.force[1] * start.y1
+    half = rows.half[0] * mid.y + rows.half[1] * mid.y1
     jerk, then = _along(rows.jerk, start), _along(_next(rows.jerk), end)
     return Sides(
         slow=1.0 - rows.slow * c,
         force=jnp.stack([1.0 - force, 1.0 + force]),
+        half=jnp.stack([1.0 - half, 1.0 + half]),
         jerk=jnp.stack([start.bound - jerk, start.bound + jerk]),
         then=jnp.stack([end.bound - then, end.bound + then]),
     )
@@ -232,13 +238,15 @@ def _room(rows: Rows, c, ends: tuple[Here, Here]) -> Sides:
 
 def _change(rows: Rows, dc, ends, moves) -> Sides:
     """How the rooms change with the coefficients."""
-    start, end = moves
+    start, mid, end = moves
     force = rows.force[0] * start.y + rows.force[1] * start.y1
+    half = rows.half[0] * mid.y + rows.half[1] * mid.y1
     jerk, then = _along(rows.jerk, start), _along(_next(rows.jerk), end)
-    low, high = ends[0].fall * start.y, ends[1].fall * end.y
+    low, high = ends[0].fall * start.y, ends[2].fall * end.y
     return Sides(
         slow=-rows.slow * dc,
         force=jnp.stack([-force, force]),
+        half=jnp.stack([-half, half]),
         jerk=jnp.stack([low - jerk, low + jerk]),
         then=jnp.stack([high - then, high + then]),
     )
@@ -246,16 +254,16 @@ def _change(rows: Rows, dc, ends, moves) -> Sides:
 
 def _worst(lack: Sides, ends) -> Float[Array, " n"]:
     """Largest distance of limits from their slacks at each sample, as a share of them."""
-    rows = [lack.slow[1:-1], *lack.force[0], *lack.force[1]]
-    for side, h in ((lack.jerk, ends[0]), (lack.then, ends[1])):
+    rows = [lack.slow[1:-1], *lack.force[0], *lack.force[1], *lack.half[0], *lack.half[1]]
+    for side, h in ((lack.jerk, ends[0]), (lack.then, ends[2])):
         rows += [x / h.bound for x in (*side[0], *side[1])]
     return functools.reduce(jnp.maximum, map(jnp.abs, rows))
 
 
 def _down(rows: Rows, stencil: Stencil, ends, push: Sides, near):
     """Minus the gradient by c of time, and that of the rooms weighted by `push`."""
-    start, end = ends
-    force = push.force[1] - push.force[0]
+    start, _, end = ends
+    force, half = push.force[1] - push.force[0], push.half[1] - push.half[0]
 
     def lean(gamma, side, h):
         jerk = side[1] - side[0]
@@ -263,19 +271,19 @@ def _down(rows: Rows, stencil: Stencil, ends, push: Sides, near):
         return y, total(gamma[1] * jerk), total(gamma[2] * jerk)
 
     y, y1, y2 = lean(rows.jerk, push.jerk, start)
+    mid = (total(rows.half[0] * half), total(rows.half[1] * half), jnp.zeros_like(start.y))
     after = kept(lean(_next(rows.jerk), push.then, end), near)
     y = y - rows.weight * start.fall + total(rows.force[0] * force)
     y1 = y1 + total(rows.force[1] * force)
-    h = rows.step
-    y, y1 = y + after[0], y1 + after[1] + h * after[0]
-    y2 = y2 + after[2] + h * (after[1] + 0.5 * h * after[0])
+    for h, (z, z1, z2) in ((0.5 * rows.step, kept(mid, near)), (rows.step, after)):
+        y, y1, y2 = y + z, y1 + z1 + h * z, y2 + z2 + h * (z1 + 0.5 * h * z)
     down = gather(stencil, kept((y, y1, y2), near)) - rows.slow * push.slow
     return jnp.where(stencil.unknown, down, 0.0)
 
 
 def _bends(rows: Rows, ends, multiplier: Sides):
     """Second derivatives of time less the jerk's bounds, by y at start and end."""
-    start, end = (0.75 * h.bound / h.y**2 for h in ends)
+    start, _, end = (0.75 * h.bound / h.y**2 for h in ends)
     here, then = total(total(multiplier.jerk)), total(total(multiplier.then))
     return (rows.weight - here) * start, -then * end
 
@@ -298,30 +306,24 @@ def _matrix(rows: Rows, stencil: Stencil, ends, w: Sides, bends) -> banded.Band:
             total(both * g2**2),
         )
 
-    start, end = ends
+    def forces(rows, side):
+        a0, a1 = rows
+        both, zero = side[0] + side[1], jnp.zeros_like(bends[0])
+        low, cross, high = (total(both * x) for x in (a0**2, a0 * a1, a1**2))
+        return low, cross, zero, high, zero, zero
+
+    start, _, end = ends
     near = rows.weight[0]
-    e00, e01, e02, e11, e12, e22 = kept(jerks(_next(rows.jerk), w.then, end, bends[1]), near)
-    # y and y' at the end are y + h y' + h^2/2 y'' and y' + h y'' at the start
-    h = rows.step
-    p, q = h, 0.5 * h**2
-    f1, f2 = p * e00 + e01, q * e00 + p * e01 + e02
-    g2 = q * e01 + p * e11 + e12
-    later = (
-        e00,
-        f1,
-        f2,
-        p * f1 + p * e01 + e11,
-        p * f2 + g2,
-        q * f2 + p * g2 + q * e02 + p * e12 + e22,
-    )
-    h00, h01, h02, h11, h12, h22 = map(
-        jnp.add, jerks(rows.jerk, w.jerk, start, bends[0]), later
-    )
-    a0, a1 = rows.force
-    force = w.force[0] + w.force[1]
-    h00 = h00 + total(force * a0**2)
-    h01, h11 = h01 + total(force * a0 * a1), h11 + total(force * a1**2)
-    diagonal, first, second = assemble(stencil, kept((h00, h01, h02, h11, h12, h22), near))
+    then = kept(jerks(_next(rows.jerk), w.then, end, bends[1]), near)
+    half = kept(forces(rows.half, w.half), near)
+    parts = [
+        jerks(rows.jerk, w.jerk, start, bends[0]),
+        forces(rows.force, w.force),
+        _moved(0.5 * rows.step, half),
+        _moved(rows.step, then),
+    ]
+    hessian = kept(tuple(map(total, zip(*parts, strict=True))), near)
+    diagonal, first, second = assemble(stencil, hessian)
     diagonal = diagonal + w.slow * rows.slow**2
     # rounding must not cost definiteness; a coefficient that is none stands alone
     tiny, free = 4.0 * jnp.finfo(diagonal.dtype).eps, stencil.unknown
@@ -331,3 +333,15 @@ def _matrix(rows: Rows, stencil: Stencil, ends, w: Sides, bends) -> banded.Band:
         jnp.where(both, first, 0.0),
         jnp.where(apart, second, 0.0),
     )
+
+
+def _moved(h, hessian):
+    """A Hessian by (y, y', y'') taken h further on, by those here.
+
+    There they are y + h y' + h^2/2 y'', y' + h y'' and y''.
+    """
+    e00, e01, e02, e11, e12, e22 = hessian
+    q = 0.5 * h**2
+    f1, f2 = h * e00 + e01, q * e00 + h * e01 + e02
+    g2 = q * e01 + h * e11 + e12
+    return e00, f1, f2, h * (f1 + e01) + e11, h * f2 + g2, q * (f2 + e02) + h * (g2 + e12) + e22

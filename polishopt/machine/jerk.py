@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from ..parts import Machine, Scalar
 from .feed import TimeLaw, derivatives, distinct, increasing
 from .interior import Rows, polish, search
-from .shape import RISE, Shape, Stencil, apply, shape, stencil
+from .shape import RISE, Shape, apply, shape, stencil
 from .sweep import Limits
 
 
@@ -148,12 +148,11 @@ def _law(parts, limits, sigma, index, programmed, rest) -> JerkLaw:
     sigma = increasing(sigma, last + 1)
     fault = _fault(parts, limits, programmed, real)
     rho = shape(sigma, sigma[0], sigma[last], _rise(sigma, last), rest)
-    halves = shape(
-        0.5 * (sigma[1:] + sigma[:-1]), sigma[0], sigma[last], _rise(sigma, last), rest
-    ).value
+    halves = 0.5 * (sigma[1:] + sigma[:-1])
+    mid = shape(halves, sigma[0], sigma[last], _rise(sigma, last), rest)
     table = stencil(sigma, last, rest)
     cap = _cap(parts[0], limits, programmed)
-    rows = _rows(parts, limits, cap, rho, halves, sigma, real, rest)
+    rows = _rows(parts, limits, programmed, cap, rho, mid, sigma, real, rest)
     frozen = jax.lax.stop_gradient((rows, table))
     start = jax.lax.stop_gradient(_start(parts, limits, cap, rho, sigma, last, rest))
     found = jax.lax.stop_gradient(search(*frozen, start))
@@ -218,12 +217,20 @@ def _share(values, limit):
     return jnp.where(values == 0.0, 0.0, values / limit)
 
 
-def _cap(first, limits: Limits, programmed):
+def _halves(parts, h):
+    """First and second derivatives half-way, from three at both ends of each interval."""
+    (a, b), (a1, b1), (a2, b2) = ((x[:, :-1], x[:, 1:]) for x in parts)
+    first = 0.5 * (a + b) + h * 5.0 / 32.0 * (a1 - b1) + h**2 / 64.0 * (a2 + b2)
+    second = 15.0 / 8.0 * (b - a) / h - 7.0 / 16.0 * (a1 + b1) + h / 32.0 * (b2 - a2)
+    return first, second
+
+
+def _cap(first, limits: Limits, programmed, other=None):
     """One over the largest b that the speeds allow."""
     asked = (first[-1] / programmed) ** 2
     slow = jnp.maximum(asked, jnp.max(_share(first[:-1], limits.speed) ** 2, axis=0))
     # where nothing moves, the parameter may not run 1000 times as fast as elsewhere
-    return jnp.maximum(slow, 1e-6 * jnp.max(slow))
+    return jnp.maximum(slow, 1e-6 * jnp.max(slow if other is None else other))
 
 
 def _limited(limits: Limits, path, each):
@@ -235,7 +242,7 @@ def _limited(limits: Limits, path, each):
     return slice(0, m + 1), jnp.append(each, path)
 
 
-def _rows(parts, limits: Limits, cap, rho: Shape, halves, sigma, real, rest) -> Rows:
+def _rows(parts, limits, programmed, cap, rho, mid, sigma, real, rest) -> Rows:
     """The limits at the samples as rows of y, y' and y''."""
     h = jnp.diff(sigma)
     weight = jnp.where(real[1:], _duration(h, rho.root, 0.5 * rho.slope), 0.0)
@@ -245,14 +252,14 @@ def _rows(parts, limits: Limits, cap, rho: Shape, halves, sigma, real, rest) -> 
     alone = ~real | ((jnp.arange(sigma.size) == last) & rest[1])
     weight = weight.at[last - 1].add(jnp.where(alone[last], weight[last], 0.0))
     weight = jnp.where(alone, jnp.mean(h), weight)
-    halves = jnp.where(halves > 0.0, halves, 1.0)
     v, s, root, bend = rho.value[None], rho.slope[None], rho.root[None], rho.root_bend[None]
     use, hold = _limited(limits, limits.path_acceleration, limits.acceleration)
     d1, d2 = parts[0][use], parts[1][use]
     force = jnp.stack([d2 * v + 0.5 * d1 * s, 0.5 * d1 * v])
-    # in the first intervals the acceleration is bent too: by at most this much
-    way = [x for x, still in ((sigma - sigma[0], rest[0]), (sigma[last] - sigma, rest[1])) if still]
-    tight = 1.0 + sum((0.1 / (1.0 + (x / jnp.mean(h)) ** 2) for x in way), jnp.zeros_like(sigma))
+    between = _halves(parts, h)
+    d1, d2 = (p[use] for p in between)
+    half = jnp.stack([d2 * mid.value + 0.5 * d1 * mid.slope, 0.5 * d1 * mid.value])
+    half = jnp.pad(half, ((0, 0), (0, 0), (0, 1)))
     use, hard = _limited(limits, limits.path_jerk, limits.jerk)
     d1, d2, d3 = (p[use] for p in parts)
     jerk = jnp.stack(
@@ -263,17 +270,21 @@ def _rows(parts, limits: Limits, cap, rho: Shape, halves, sigma, real, rest) -> 
         ]
     )
     keep = real[None, None]
-    # What lies between bounds on coefficients half-way between samples exceeds the bound
-    # by an eighth of its second difference: beside a rest 1/rho is bent too much for that.
-    low, mid, high = (1.0 / jnp.maximum(x, 0.1 * halves) for x in (v[0, :-1], halves, v[0, 1:]))
-    most = jnp.pad(2.0 * mid - 0.5 * (low + high), (1, 2), mode="edge")
-    most = most.at[last + 1].set(most[last])
-    slow = jnp.pad(cap, (1, 2), mode="edge")
-    slow = 0.5 * (slow[1:] + slow[:-1]) / most
+    # A coefficient stands half-way between samples. What lies between bounds on them is
+    # off by an eighth of the bound's second difference, which counts where the bound is
+    # bent: beside a rest, and where an axis whips round.
+    top = 1.0 / (cap * jnp.maximum(rho.value, jnp.min(mid.value)))
+    most = 1.0 / (_cap(between[0], limits, programmed, cap) * mid.value)
+    bent = jnp.maximum(2.0 * most - 0.5 * (top[1:] + top[:-1]), 0.5 * most)
+    low = jnp.minimum(top[1:], top[:-1])
+    most = jnp.where(real[1:], jnp.maximum(jnp.minimum(most, bent), 0.25 * low), top[1:])
+    slow = 1.0 / jnp.concatenate([top[:1], most, top[-1:], top[-1:]])
+    slow = slow.at[last + 1].set(1.0 / top[last])
     return Rows(
         weight=weight,
         slow=slow,
-        force=jnp.where(keep, _share(force * tight, hold), 0.0),
+        force=jnp.where(keep, _share(force, hold), 0.0),
+        half=jnp.where(keep & (jnp.arange(sigma.size) < last), _share(half, hold), 0.0),
         jerk=jnp.where(keep, _share(jerk, hard), 0.0),
         step=jnp.where(jnp.arange(sigma.size) < last, jnp.pad(h, (0, 1)), 0.0),
     )
