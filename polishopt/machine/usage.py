@@ -44,9 +44,9 @@ def usage(
     """How much of each limit a time law uses, looked at between the samples too.
 
     Between samples the squared rate is what the law takes it to be (linear for `time_law`,
-    see `shape` for `jerk_law`), and the path is `path` or, without one, the polynomial of
-    seventh degree through the positions and three derivatives at the samples. For checks:
-    it holds `finer` values of everything for each sample.
+    see `shape` for `jerk_law`), and the path is `path` or, without one, the quintic
+    through the positions and two derivatives at the samples. For checks: it holds `finer`
+    values of everything for each sample.
 
     Args:
         axes: Axis positions at the samples [mm or rad].
@@ -67,7 +67,7 @@ def usage(
     parameter = arc if sigma is None else sigma
     kept, index = distinct(parameter)
     columns = jnp.column_stack([axes, arc])
-    at = derivatives(columns[kept], parameter[kept], index[-1] + 1, order=3)
+    at = derivatives(columns[kept], parameter[kept], index[-1] + 1)
     at = [columns, *(x[index] for x in at)]
     h = jnp.diff(parameter)
     moving = h > 0.0
@@ -84,7 +84,7 @@ def usage(
 
     def within(t: Scalar) -> Float[Array, "3 m+1"]:
         """Uses at the fraction t of every interval."""
-        first, second, third = _septic(t, h[:, None], at)
+        first, second, third = _quintic(t, h[:, None], at)
         if path is not None:
             exact = jax.vmap(lambda s: _three(path, s))(parameter[:-1] + t * h)
             parts = zip((first, second, third), exact, strict=True)
@@ -141,23 +141,16 @@ def _three(path, s: Scalar):
     return by(path)(s), by(by(path))(s), by(by(by(path)))(s)
 
 
-def _septic(t, h, at):
-    """Derivatives of the polynomial with given values and three derivatives at the ends."""
-    scaled = [x * h**k for k, x in enumerate((at[0][:-1], *(y[:-1] for y in at[1:])))]
-    ends = [x * h**k for k, x in enumerate((at[0][1:], *(y[1:] for y in at[1:])))]
-    value, d, e, f = scaled
-    # what the Taylor polynomial from the left lacks at the right end
-    p = ends[0] - (value + d + e / 2 + f / 6)
-    q = ends[1] - (d + e + f / 2)
-    r = ends[2] - (e + f)
-    w = ends[3] - f
-    c4 = 35 * p - 15 * q + 2.5 * r - w / 6
-    c5 = -84 * p + 39 * q - 7 * r + 0.5 * w
-    c6 = 70 * p - 34 * q + 6.5 * r - 0.5 * w
-    c7 = -20 * p + 10 * q - 2 * r + w / 6
-    first = d + t * (
-        e + t * (f / 2 + t * (4 * c4 + t * (5 * c5 + t * (6 * c6 + t * 7 * c7))))
-    )
-    second = e + t * (f + t * (12 * c4 + t * (20 * c5 + t * (30 * c6 + t * 42 * c7))))
-    third = f + t * (24 * c4 + t * (60 * c5 + t * (120 * c6 + t * 210 * c7)))
+def _quintic(t, h, at):
+    """Derivatives of the quintic with given values, slopes and second derivatives."""
+    (q0, q1), (d0, d1), (s0, s1) = ((x[:-1], x[1:]) for x in at)
+    u, w = d0 * h, d1 * h
+    p, r = s0 * h**2, s1 * h**2
+    rise = q1 - q0
+    c3 = 10.0 * rise - 6.0 * u - 4.0 * w - 1.5 * p + 0.5 * r
+    c4 = -15.0 * rise + 8.0 * u + 7.0 * w + 1.5 * p - r
+    c5 = 6.0 * rise - 3.0 * (u + w) - 0.5 * (p - r)
+    first = u + t * (p + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5)))
+    second = p + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5))
+    third = 6.0 * c3 + t * (24.0 * c4 + t * 60.0 * c5)
     return first / h, second / h**2, third / h**3
