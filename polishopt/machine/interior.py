@@ -53,7 +53,7 @@ class Rows(eqx.Module):
 
     weight: Float[Array, " n"]
     """Time at each sample is this over the root of y."""
-    slow: Float[Array, " n+2"]
+    slow: Float[Array, " c"]
     """One over the largest coefficients that the speeds allow."""
     force: Float[Array, "2 k n"]
     r"""$\alpha_0, \alpha_1$ of the accelerations."""
@@ -68,7 +68,7 @@ class Rows(eqx.Module):
 class Sides(NamedTuple):
     """One number for each limit and sample; accelerations and jerks have two sides."""
 
-    slow: Float[Array, " n+2"]
+    slow: Float[Array, " c"]
     force: Float[Array, "2 k n"]
     half: Float[Array, "2 k n"]
     """Of the acceleration half-way through each interval."""
@@ -92,7 +92,7 @@ def kept(x, near: Array):
 class Found(eqx.Module):
     """What the search ends with."""
 
-    c: Float[Array, " n"]
+    c: Float[Array, " c"]
     """Coefficients of y."""
     multiplier: Sides
     slack: Sides
@@ -115,7 +115,7 @@ class Here(NamedTuple):
     """Derivative of D by y."""
 
 
-def search(rows: Rows, stencil: Stencil, start: Float[Array, " n+2"]) -> Found:
+def search(rows: Rows, stencil: Stencil, start: Float[Array, " c"]) -> Found:
     """The time-optimal y to the accuracy of the barrier; not for differentiation.
 
     Args:
@@ -130,8 +130,8 @@ def search(rows: Rows, stencil: Stencil, start: Float[Array, " n+2"]) -> Found:
         slow=jnp.maximum(slack.slow, 0.1),
         force=jnp.maximum(slack.force, 0.1),
         half=jnp.maximum(slack.half, 0.1),
-        jerk=jnp.maximum(slack.jerk, 0.1 * ends[0].bound),
-        then=jnp.maximum(slack.then, 0.1 * ends[2].bound),
+        jerk=jnp.maximum(slack.jerk, 0.1 * ends[0].bound[None, None]),
+        then=jnp.maximum(slack.then, 0.1 * ends[2].bound[None, None]),
     )
     mu = jnp.asarray(MU_START, start.dtype)
     level = _level(rows, ends[0], mu)
@@ -173,10 +173,10 @@ def search(rows: Rows, stencil: Stencil, start: Float[Array, " n+2"]) -> Found:
     c, multiplier, slack, _, excess, done, count = jax.lax.while_loop(
         unfinished, step, state
     )
-    return Found(c, multiplier, slack, jnp.asarray(count), excess, done)
+    return Found(c, multiplier, slack, jnp.asarray(count, jnp.int32), excess, done)
 
 
-def polish(rows: Rows, stencil: Stencil, found: Found) -> Float[Array, " n+2"]:
+def polish(rows: Rows, stencil: Stencil, found: Found) -> Float[Array, " c"]:
     """What was found, with its derivatives by the rows and the stencil."""
     found, held, table = jax.lax.stop_gradient((found, rows, stencil))
     ends = _places(held, apply(table, found.c))
@@ -207,13 +207,18 @@ def _level(rows: Rows, start: Here, mu) -> Sides:
     """Barrier of each limit: a share of the time at its sample."""
     level = mu * rows.weight * start.bound
     k = rows.force.shape[1], rows.jerk.shape[1]
-    force, jerk = (jnp.broadcast_to(level, (2, k, level.size)) for k in k)
+    force, jerk = (jnp.broadcast_to(level[None, None], (2, k, level.size)) for k in k)
     return Sides(jnp.pad(level, 1, mode="edge"), force, force, jerk, jerk)
 
 
 def _along(gamma, h: Here):
     """Jerk over the root of y."""
-    return gamma[0] * h.y + gamma[1] * h.y1 + gamma[2] * h.y2
+    return gamma[0] * h.y[None] + gamma[1] * h.y1[None] + gamma[2] * h.y2[None]
+
+
+def _strip(alpha, h: Here):
+    """Acceleration."""
+    return alpha[0] * h.y[None] + alpha[1] * h.y1[None]
 
 
 def _next(gamma):
@@ -224,25 +229,23 @@ def _next(gamma):
 def _room(rows: Rows, c, ends: list[Here]) -> Sides:
     """What is left of each limit; of those of jerk, over the root of y."""
     start, mid, end = ends
-    force = rows.force[0] * start.y + rows.force[1] * start.y1
-    half = rows.half[0] * mid.y + rows.half[1] * mid.y1
+    force, half = _strip(rows.force, start), _strip(rows.half, mid)
     jerk, then = _along(rows.jerk, start), _along(_next(rows.jerk), end)
     return Sides(
         slow=1.0 - rows.slow * c,
         force=jnp.stack([1.0 - force, 1.0 + force]),
         half=jnp.stack([1.0 - half, 1.0 + half]),
-        jerk=jnp.stack([start.bound - jerk, start.bound + jerk]),
-        then=jnp.stack([end.bound - then, end.bound + then]),
+        jerk=jnp.stack([start.bound[None] - jerk, start.bound[None] + jerk]),
+        then=jnp.stack([end.bound[None] - then, end.bound[None] + then]),
     )
 
 
 def _change(rows: Rows, dc, ends, moves) -> Sides:
     """How the rooms change with the coefficients."""
     start, mid, end = moves
-    force = rows.force[0] * start.y + rows.force[1] * start.y1
-    half = rows.half[0] * mid.y + rows.half[1] * mid.y1
+    force, half = _strip(rows.force, start), _strip(rows.half, mid)
     jerk, then = _along(rows.jerk, start), _along(_next(rows.jerk), end)
-    low, high = ends[0].fall * start.y, ends[2].fall * end.y
+    low, high = (ends[0].fall * start.y)[None], (ends[2].fall * end.y)[None]
     return Sides(
         slow=-rows.slow * dc,
         force=jnp.stack([-force, force]),
@@ -295,7 +298,7 @@ def _matrix(rows: Rows, stencil: Stencil, ends, w: Sides, bends) -> banded.Band:
         g0, g1, g2 = gamma
         both = side[0] + side[1]
         # both sides of a jerk lean on D alike
-        lean = h.fall * (side[1] - side[0])
+        lean = h.fall[None] * (side[1] - side[0])
         cross = g0 * both + lean
         return (
             bend + h.fall**2 * total(both) + total(g0 * (cross + lean)),

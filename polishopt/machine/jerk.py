@@ -195,7 +195,7 @@ def _law(parts, limits, sigma, index, programmed, rest) -> JerkLaw:
 
 def _rise(sigma, last):
     """Length of the reference shape's rise."""
-    return RISE * (sigma[last] - sigma[0]) / jnp.maximum(last, 1)
+    return RISE * (sigma[last] - sigma[0]) / jnp.maximum(last, 1).astype(sigma.dtype)
 
 
 def _duration(h, rate, change):
@@ -213,13 +213,15 @@ def _duration(h, rate, change):
 
 def _share(values, limit):
     """Values over a limit; an axis that does not move has no need of one."""
-    limit = jnp.where(limit > 0.0, limit, 1.0)[..., None]
+    limit = jnp.where(limit > 0.0, limit, 1.0)[:, None]
+    limit = limit.reshape((1,) * (values.ndim - 2) + limit.shape)
     return jnp.where(values == 0.0, 0.0, values / limit)
 
 
 def _halves(parts, h):
     """First and second derivatives half-way, from the cubic through those at both ends."""
     (a, b), (a1, b1) = ((x[:, :-1], x[:, 1:]) for x in parts[:2])
+    h = h[None]
     return 0.5 * (a + b) + 0.125 * h * (a1 - b1), 1.5 * (b - a) / h - 0.25 * (a1 + b1)
 
 
@@ -256,7 +258,8 @@ def _rows(parts, limits, programmed, cap, rho, mid, sigma, real, rest) -> Rows:
     force = jnp.stack([d2 * v + 0.5 * d1 * s, 0.5 * d1 * v])
     between = _halves(parts, h)
     d1, d2 = (p[use] for p in between)
-    half = jnp.stack([d2 * mid.value + 0.5 * d1 * mid.slope, 0.5 * d1 * mid.value])
+    value, slope = mid.value[None], mid.slope[None]
+    half = jnp.stack([d2 * value + 0.5 * d1 * slope, 0.5 * d1 * value])
     half = jnp.pad(half, ((0, 0), (0, 0), (0, 1)))
     use, hard = _limited(limits, limits.path_jerk, limits.jerk)
     d1, d2, d3 = (p[use] for p in parts)
@@ -270,8 +273,8 @@ def _rows(parts, limits, programmed, cap, rho, mid, sigma, real, rest) -> Rows:
     # in the first intervals after a rest, acceleration rises as the third root of the way,
     # which the two places where it is enforced see a few hundredths of
     ways = [sigma - sigma[0]] * rest[0] + [sigma[last] - sigma] * rest[1]
-    tight = 1.0 + sum(0.06 / (1.0 + (x / jnp.mean(h)) ** 2) for x in ways)
-    force, half = force * tight, half * tight
+    tight = jnp.ones_like(sigma) + sum(0.06 / (1.0 + (x / jnp.mean(h)) ** 2) for x in ways)
+    force, half = force * tight[None, None], half * tight[None, None]
     keep = real[None, None]
     # A coefficient stands half-way between samples. What lies between bounds on them is
     # off by an eighth of the bound's second difference, which counts where the bound is
@@ -287,7 +290,7 @@ def _rows(parts, limits, programmed, cap, rho, mid, sigma, real, rest) -> Rows:
         weight=weight,
         slow=slow,
         force=jnp.where(keep, _share(force, hold), 0.0),
-        half=jnp.where(keep & (jnp.arange(sigma.size) < last), _share(half, hold), 0.0),
+        half=jnp.where(keep & (jnp.arange(sigma.size) < last)[None, None], _share(half, hold), 0.0),
         jerk=jnp.where(keep, _share(jerk, hard), 0.0),
         step=jnp.where(jnp.arange(sigma.size) < last, jnp.pad(h, (0, 1)), 0.0),
     )
@@ -338,6 +341,7 @@ def _limiting(rows: Rows, parts, limits: Limits, cap, b, y, y1, y2):
     m = limits.speed.size
     root = jnp.sqrt(b)[None]
     none = jnp.zeros_like(b)[None]
+    y, y1, y2 = y[None], y1[None], y2[None]
     force = jnp.abs(rows.force[0] * y + rows.force[1] * y1)
     jerk = jnp.abs(rows.jerk[0] * y + rows.jerk[1] * y1 + rows.jerk[2] * y2) * jnp.sqrt(y)
     path_force = force[m:] if force.shape[0] > m else none

@@ -52,7 +52,7 @@ class Stencil(eqx.Module):
     slope: Float[Array, "3 n"]
     bend: Float[Array, "3 n"]
     """In the interval that follows."""
-    unknown: Bool[Array, " n+2"]
+    unknown: Bool[Array, " c"]
     """Which coefficients are free; the others stand alone."""
 
 
@@ -127,7 +127,7 @@ def stencil(
 
 
 def apply(
-    s: Stencil, c: Float[Array, " n+2"]
+    s: Stencil, c: Float[Array, " c"]
 ) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
     """y and y' at the samples, and y'' after them, for the coefficients c."""
     around = (c[:-2], c[1:-1], c[2:])
@@ -143,7 +143,7 @@ def total(terms):
     return functools.reduce(jnp.add, list(terms))
 
 
-def gather(s: Stencil, parts) -> Float[Array, " n+2"]:
+def gather(s: Stencil, parts) -> Float[Array, " c"]:
     """The gradient by c of a function of (y, y', y''): the transpose of `apply`."""
     y, y1, y2 = parts
     low, mid, high = s.value * y[None] + s.slope * y1[None] + s.bend * y2[None]

@@ -82,7 +82,7 @@ def usage(
     ]
     most = [jnp.append(x, jnp.inf if p is None else p) for x, p in most]
 
-    def within(t: Scalar) -> Float[Array, "3 m+1"]:
+    def within(t: Scalar) -> Float[Array, "3 k"]:
         """Uses at the fraction t of every interval."""
         first, second, third = _quintic(t, h[:, None], at)
         if path is not None:
@@ -122,7 +122,7 @@ def _linear(law: TimeLaw, parameter, h, t):
 def _smooth(law: JerkLaw, parameter, h, t):
     """Rate and its two derivatives by time as `shape` has them."""
     start, end, n = parameter[0], parameter[-1], jnp.sum(jnp.diff(parameter) > 0.0)
-    rise = RISE * (end - start) / jnp.maximum(n, 1)
+    rise = RISE * (end - start) / jnp.maximum(n, 1).astype(h.dtype)
     left, way, y2 = parameter[:-1], t * h, law.y_bend[:-1]
     y1 = law.y_slope[:-1] + way * y2
     y = law.y[:-1] + way * (law.y_slope[:-1] + 0.5 * way * y2)
