@@ -53,7 +53,9 @@ def test_straight_move_takes_the_closed_form_time(length, feed, acceleration, je
 
 @pytest.mark.parametrize("radius", [6.0, 3.0, 1.0])
 @pytest.mark.parametrize(
-    ("acceleration", "jerk"), [(2500.0, 1e9), (2500.0, 5000.0)], ids=["acceleration", "jerk"]
+    ("acceleration", "jerk"),
+    [(2500.0, 1e9), (2500.0, 5000.0)],
+    ids=["acceleration", "jerk"],
 )
 def test_steady_circle_runs_at_the_closed_form_feed(radius, acceleration, jerk):
     r"""$\min(\sqrt{A r}, \sqrt[3]{J r^2})$, where the path hardly lets the feed change."""
@@ -71,7 +73,13 @@ def test_steady_circle_runs_at_the_closed_form_feed(radius, acceleration, jerk):
         path_jerk=1e9,
     )
     law = run_derivatives(
-        *dq, -dq[0] / radius**2, limits, length, radius * phase, jnp.asarray(FAST), (False, False)
+        *dq,
+        -dq[0] / radius**2,
+        limits,
+        length,
+        radius * phase,
+        jnp.asarray(FAST),
+        (False, False),
     )
     check(law, limits)
     want = min(math.sqrt(acceleration * radius), (jerk * radius**2) ** (1 / 3))

@@ -9,7 +9,6 @@ import math
 from typing import SupportsInt
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -180,7 +179,9 @@ def derivatives(
             products = [p * y + q for p, q in zip(products, lower, strict=True)]
         for r in range(order):
             times = math.factorial(r + 1)
-            totals[r] = totals[r] + (times * products[r + 1] / below)[:, None] * change[:, k]
+            totals[r] = (
+                totals[r] + (times * products[r + 1] / below)[:, None] * change[:, k]
+            )
     return tuple(totals)
 
 

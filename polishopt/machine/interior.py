@@ -347,4 +347,11 @@ def _moved(h, hessian):
     q = 0.5 * h**2
     f1, f2 = h * e00 + e01, q * e00 + h * e01 + e02
     g2 = q * e01 + h * e11 + e12
-    return e00, f1, f2, h * (f1 + e01) + e11, h * f2 + g2, q * (f2 + e02) + h * (g2 + e12) + e22
+    return (
+        e00,
+        f1,
+        f2,
+        h * (f1 + e01) + e11,
+        h * f2 + g2,
+        q * (f2 + e02) + h * (g2 + e12) + e22,
+    )

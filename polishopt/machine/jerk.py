@@ -98,7 +98,9 @@ def jerk_law(
     parts = derivatives(columns, parameter[kept], real, order=3)
     if sigma is None:
         one = jnp.ones_like(arc)
-        parts = [p.at[:, m].set(k * one) for p, k in zip(parts, (1.0, 0.0, 0.0), strict=True)]
+        parts = [
+            p.at[:, m].set(k * one) for p, k in zip(parts, (1.0, 0.0, 0.0), strict=True)
+        ]
     return _law([p.T for p in parts], limits, parameter[kept], index, programmed, rest)
 
 
@@ -290,7 +292,9 @@ def _rows(parts, limits, programmed, cap, rho, mid, sigma, real, rest) -> Rows:
         weight=weight,
         slow=slow,
         force=jnp.where(keep, _share(force, hold), 0.0),
-        half=jnp.where(keep & (jnp.arange(sigma.size) < last)[None, None], _share(half, hold), 0.0),
+        half=jnp.where(
+            keep & (jnp.arange(sigma.size) < last)[None, None], _share(half, hold), 0.0
+        ),
         jerk=jnp.where(keep, _share(jerk, hard), 0.0),
         step=jnp.where(jnp.arange(sigma.size) < last, jnp.pad(h, (0, 1)), 0.0),
     )
@@ -309,7 +313,9 @@ def _start(parts, limits: Limits, cap, rho: Shape, sigma, last, rest):
         sharp = jnp.max(jnp.abs(_share(parts[2][:m], limits.jerk)), axis=0)
         slow = jnp.maximum(slow, sharp ** (2.0 / 3.0))
         stiff = jnp.max(jnp.abs(_share(parts[0][:m], limits.jerk)), axis=0)
-        climb = jnp.where(stiff > 0.0, 0.6 / jnp.sqrt(jnp.where(stiff > 0, stiff, 1.0)), climb)
+        climb = jnp.where(
+            stiff > 0.0, 0.6 / jnp.sqrt(jnp.where(stiff > 0, stiff, 1.0)), climb
+        )
     level = (0.5 / slow) ** 0.75
     index = jnp.arange(sigma.size)
     still = jnp.zeros_like(level, bool).at[0].set(rest[0]).at[last].set(rest[1])
@@ -364,7 +370,9 @@ def _fault(parts, limits: Limits, programmed, real) -> Fault:
         bad = bad | jnp.any(~jnp.isfinite(p), axis=0)
     culprit = jnp.stack([jnp.any(~jnp.isfinite(jnp.stack(parts)), axis=0)])[0]
     most = [limits.speed, limits.acceleration]
-    most += [jnp.full(m, jnp.inf, limits.speed.dtype) if limits.jerk is None else limits.jerk]
+    most += [
+        jnp.full(m, jnp.inf, limits.speed.dtype) if limits.jerk is None else limits.jerk
+    ]
     none = jnp.stack(most) <= 0.0
     none = none | jnp.isnan(jnp.stack(most))  # (3, m)
     moves = (parts[0][:m] != 0.0) & real[None]
@@ -391,7 +399,9 @@ def check(law: JerkLaw, limits: Limits | Machine) -> None:
         ValueError: Says in a sentence which axis, sample and limit stand in the way.
     """
     limits = limits if isinstance(limits, Limits) else Limits.of(limits)
-    kind, sample, axis = (int(x) for x in (law.fault.kind, law.fault.sample, law.fault.axis))
+    kind, sample, axis = (
+        int(x) for x in (law.fault.kind, law.fault.sample, law.fault.axis)
+    )
     order = int(law.fault.limit)
     if kind == SOUND:
         return

@@ -65,7 +65,9 @@ def shape(
 ) -> Shape:
     """The reference shape at any place between start and end."""
     g, d, c = jnp.ones_like(sigma), jnp.zeros_like(sigma), jnp.zeros_like(sigma)
-    for still, way, sign in zip(rest, (sigma - start, end - sigma), (1.0, -1.0), strict=True):
+    for still, way, sign in zip(
+        rest, (sigma - start, end - sigma), (1.0, -1.0), strict=True
+    ):
         if still:
             x = jnp.maximum(way, 0.0)
             z = x / rise
@@ -108,14 +110,20 @@ def stencil(
     place = jnp.arange(sigma.size + 2)
     unknown = place != last + 2
     if rest[0]:  # the first three coefficients are one
-        tables = [x.at[:, 1].set(jnp.stack([0.0 * x[0, 1], x[0, 1] + x[1, 1], x[2, 1]]))
-                  for x in tables]
-        tables = [x.at[:, 0].set(k * own[:, 0]) for x, k in zip(tables, (1, 0, 0), strict=True)]
+        tables = [
+            x.at[:, 1].set(jnp.stack([0.0 * x[0, 1], x[0, 1] + x[1, 1], x[2, 1]]))
+            for x in tables
+        ]
+        tables = [
+            x.at[:, 0].set(k * own[:, 0]) for x, k in zip(tables, (1, 0, 0), strict=True)
+        ]
         unknown = unknown & (place > 1)
     if rest[1]:  # and so are the last three
         k = last - 2
-        tables = [x.at[:, k].set(jnp.stack([x[0, k], x[1, k] + x[2, k], 0.0 * x[0, k]]))
-                  for x in tables]
+        tables = [
+            x.at[:, k].set(jnp.stack([x[0, k], x[1, k] + x[2, k], 0.0 * x[0, k]]))
+            for x in tables
+        ]
         k, first = last - 1, own[::-1, 0]
         tables = [x.at[:, k].set(f * first) for x, f in zip(tables, (1, 0, 0), strict=True)]
         unknown = (place != last) & (place != last + 1) & ((place > 1) | (not rest[0]))
@@ -129,7 +137,7 @@ def stencil(
 def apply(
     s: Stencil, c: Float[Array, " c"]
 ) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
-    """y and y' at the samples, and y'' after them, for the coefficients c."""
+    """Values, slopes and, after each sample, second derivatives of y for c."""
     around = (c[:-2], c[1:-1], c[2:])
     rows = (s.value, s.slope, s.bend)
     value, slope, bend = (

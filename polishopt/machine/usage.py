@@ -73,7 +73,8 @@ def usage(
     moving = h > 0.0
     h = jnp.where(moving, h, 1.0)
     m = axes.shape[1]
-    motion = _smooth if isinstance(law, JerkLaw) else _linear
+    bounded = isinstance(law, JerkLaw)
+    motion = _smooth if bounded else _linear
     inf = jnp.full_like(limits.speed, jnp.inf)
     most = [
         (limits.speed, programmed),
@@ -119,7 +120,7 @@ def _linear(law: TimeLaw, parameter, h, t):
     return jnp.sqrt(jnp.maximum(here, 0.0)), 0.5 * jnp.diff(b) / h, jnp.zeros_like(h)
 
 
-def _smooth(law: JerkLaw, parameter, h, t):
+def _smooth(law, parameter, h, t):
     """Rate and its two derivatives by time as `shape` has them."""
     start, end, n = parameter[0], parameter[-1], jnp.sum(jnp.diff(parameter) > 0.0)
     rise = RISE * (end - start) / jnp.maximum(n, 1).astype(h.dtype)
