@@ -76,7 +76,8 @@ def bench_path(n, total, name):
     compiling, forward = measure(jax.jit(total), *args)
     compiling_back, back = measure(jax.jit(jax.value_and_grad(total, (0, 2, 3))), *args)
     print(
-        f"{n:>9} samples {name:>12}   compile {compiling:5.2f} s   run {forward * 1e3:8.2f} ms   "
+        f"{n:>9} samples {name:>12}   compile {compiling:5.2f} s   "
+        f"run {forward * 1e3:8.2f} ms   "
         f"with gradient: compile {compiling_back:5.2f} s   run {back * 1e3:8.2f} ms   "
         f"ratio {back / forward:4.2f}"
     )

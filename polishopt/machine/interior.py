@@ -5,7 +5,8 @@ The unknowns are the coefficients of y (see `shape`). At a sample, with $D = y^{
 - time is $\sum_i w_i D_i$, convex in y;
 - a speed is a bound on y, that is, on its coefficients;
 - an acceleration is a strip $|\alpha_0 y + \alpha_1 y'| \le 1$;
-- a jerk, at either end of an interval, is $\sqrt y\,|\gamma_0 y + \gamma_1 y' + \gamma_2 y''| \le 1$, so
+- a jerk, at either end of an interval, is
+  $\sqrt y\,|\gamma_0 y + \gamma_1 y' + \gamma_2 y''| \le 1$, so
   $|\gamma_0 y + \gamma_1 y' + \gamma_2 y''| \le D(y)$.
 
 Only the last is not convex. Its right side is: the tangent to D lies below D, so a step

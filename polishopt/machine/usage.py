@@ -100,7 +100,6 @@ def usage(
         return jnp.stack([jnp.where(moving[:, None], x, 0.0).max(0) for x in shares])
 
     speed, force, jerk = jax.lax.map(within, jnp.linspace(0.0, 1.0, finer + 1)).max(0)
-    bounded = isinstance(law, JerkLaw)
     return Usage(
         programmed=jnp.maximum(speed[m], jnp.max(law.feed) / programmed)
         if bounded
