@@ -12,7 +12,8 @@ import pytest
 FLOORS = """
 units parts
 path.surface path.corner path.guide path.trochoid path.toolpath path
-machine.kinematics machine.route machine.sweep machine.feed machine.loop machine
+machine.kinematics machine.route machine.exact machine.sweep machine.feed machine.loop
+machine.shape machine.banded machine.interior machine.jerk machine.usage machine
 contact.pressure contact.removal contact.ripple contact
 texture.filters texture.areal texture.hybrid texture.lay texture.spatial texture.functional
 texture.feature texture.uncertainty texture.parameters

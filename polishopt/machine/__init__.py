@@ -3,19 +3,30 @@
 - kinematics   axis positions of a posture, and the posture of axis positions
 - route        which of two solutions a path takes, and whether the machine can run it
 - sweep        the fastest motion along a path whose derivatives are known
+- exact        derivatives of axes and length along a path known as a function
 - feed         feed, time and what limits them along a sampled path
+- shape        how the squared rate runs along the path when jerk is bounded
+- banded       linear systems whose unknowns meet only their neighbours
+- interior     the least time within limits, jerk included
+- jerk         feed, time and what limits them when jerk is honoured
+- usage        how much of each limit a time law uses, between the samples too
 - loop         the feed in one loop of the trochoid that is run again and again
 """
 
+from .exact import Derivatives as Derivatives, exact as exact
 from .feed import (
     Limits as Limits,
     TimeLaw as TimeLaw,
-    Usage as Usage,
     derivatives as derivatives,
     limiting_name as limiting_name,
     time_law as time_law,
     time_law_from_derivatives as time_law_from_derivatives,
-    usage as usage,
+)
+from .jerk import (
+    JerkLaw as JerkLaw,
+    check as check,
+    jerk_law as jerk_law,
+    jerk_law_from_derivatives as jerk_law_from_derivatives,
 )
 from .kinematics import (
     forward as forward,
@@ -31,3 +42,4 @@ from .route import (
     reasons as reasons,
     route as route,
 )
+from .usage import Usage as Usage, usage as usage
