@@ -11,6 +11,7 @@ from helpers import assert_close
 from polishopt.machine import (
     Limits,
     check,
+    exact_jerk_law,
     jerk_law,
     jerk_law_from_derivatives,
     limiting_name,
@@ -22,6 +23,7 @@ from test_feed import LEAN, milling_centre, trochoid_axes
 
 run = jax.jit(jerk_law, static_argnames="rest")
 run_derivatives = jax.jit(jerk_law_from_derivatives, static_argnames="rest")
+run_exact = jax.jit(exact_jerk_law, static_argnums=0)
 used_by = jax.jit(usage, static_argnames=("path", "finer"))
 without_jerk = jax.jit(time_law)
 FAST = 1e4
@@ -109,13 +111,54 @@ def test_limits_hold_between_the_samples(limits, tilt, feed):
 
 
 def test_repeated_samples_cost_nothing(limits):
-    axes, arc, _ = trochoid_axes()
-    want = run(axes[:281], limits, arc[:281], jnp.asarray(50.0))
-    index = jnp.concatenate([jnp.arange(50), jnp.arange(49, 281), jnp.full(39, 280)])
-    got = run(axes[index], limits, arc[index], jnp.asarray(50.0))
+    """Whether they stand at the end, where they pad a path, or within it."""
+    axes, arc, s = trochoid_axes()
+    n, half = arc.size, arc.size // 2
+    index = jnp.minimum(jnp.arange(n), half)
+    want = run(axes[index], limits, arc[index], jnp.asarray(50.0), s[index])
+    check(want, limits)
+    within = jnp.concatenate([jnp.arange(50), jnp.full(30, 49), jnp.arange(49, n - 31)])
+    within = jnp.minimum(within, half)
+    got = run(axes[within], limits, arc[within], jnp.asarray(50.0), s[within])
     check(got, limits)
+    assert_close(want.time[half], want.total, rtol=1e-12)
     assert_close(got.total, want.total, rtol=2e-3)
-    assert_close(got.feed, want.feed[index], rtol=2e-2, atol=0.5)
+    assert_close(got.feed, want.feed[within], rtol=2e-2, atol=0.5)
+
+
+def whip(s):
+    """Past the pole, C turns by almost half a turn within a tenth of a millimetre."""
+    return jnp.stack([s, jnp.arctan2(s - 5.0, 0.02)]), jnp.stack([s, 0.0 * s, 0.0 * s])
+
+
+def whipped(s):
+    """Its axes alone."""
+    return whip(s)[0]
+
+
+def test_limits_hold_between_samples_of_a_whip():
+    """With the derivatives of the path itself, and by its motion put together by hand."""
+    n, feed = 401, 50.0
+    # closer together where C turns: 27 samples in a length of 0.02 mm
+    even = jnp.linspace(-1.0, 1.0, n)
+    sigma = 5.0 + 5.0 * jnp.sinh(6.0 * even) / jnp.sinh(6.0)
+    limits = Limits([500.0, 2.0], [2500.0, 50.0], ("X", "C"), [5e3, 5e3])
+    law = run_exact(whip, sigma, limits, jnp.asarray(feed))
+    check(law, limits)
+    used = used_by(
+        jax.vmap(whip)(sigma)[0],
+        law,
+        limits,
+        sigma,
+        jnp.asarray(feed),
+        path=whipped,
+    )
+    assert used.programmed <= 1.001
+    assert used.speed.max() <= 1.001
+    assert used.acceleration.max() <= 1.001
+    assert used.jerk.max() <= 1.02
+    # C is fastest at the pole itself: 1 / 0.02 of the feed
+    assert_close(law.feed[n // 2], 2.0 * 0.02, rtol=0.02)
 
 
 def test_gradients_are_those_of_differences(limits):

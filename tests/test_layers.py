@@ -10,10 +10,11 @@ import pytest
 # Modules from the lowest floor to the highest; each may import what stands before it.
 # All of `files` is one place: its modules read each other in any order.
 FLOORS = """
-units parts
+units stored parts
 path.surface path.corner path.guide path.trochoid path.toolpath path
-machine.kinematics machine.route machine.exact machine.sweep machine.feed machine.loop
-machine.shape machine.banded machine.interior machine.jerk machine.usage machine
+machine.kinematics machine.route machine.sweep machine.feed machine.exact machine.loop
+machine.shape machine.banded machine.interior machine.jerk machine.jerk_exact machine.usage
+machine
 contact.pressure contact.removal contact.ripple contact
 texture.filters texture.areal texture.hybrid texture.lay texture.spatial texture.functional
 texture.feature texture.uncertainty texture.parameters

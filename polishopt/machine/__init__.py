@@ -3,17 +3,18 @@
 - kinematics   axis positions of a posture, and the posture of axis positions
 - route        which of two solutions a path takes, and whether the machine can run it
 - sweep        the fastest motion along a path whose derivatives are known
-- exact        derivatives of axes and length along a path known as a function
 - feed         feed, time and what limits them along a sampled path
+- exact        the same along a path known as a function, limits kept between samples too
 - shape        how the squared rate runs along the path when jerk is bounded
 - banded       linear systems whose unknowns meet only their neighbours
 - interior     the least time within limits, jerk included
 - jerk         feed, time and what limits them when jerk is honoured
+- jerk_exact   the same along a path known as a function, limits kept between samples too
 - usage        how much of each limit a time law uses, between the samples too
 - loop         the feed in one loop of the trochoid that is run again and again
 """
 
-from .exact import Derivatives as Derivatives, exact as exact
+from .exact import exact_time_law as exact_time_law
 from .feed import (
     Limits as Limits,
     TimeLaw as TimeLaw,
@@ -28,6 +29,7 @@ from .jerk import (
     jerk_law as jerk_law,
     jerk_law_from_derivatives as jerk_law_from_derivatives,
 )
+from .jerk_exact import exact_jerk_law as exact_jerk_law
 from .kinematics import (
     forward as forward,
     inverse as inverse,

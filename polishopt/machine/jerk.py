@@ -101,7 +101,7 @@ def jerk_law(
         parts = [
             p.at[:, m].set(k * one) for p, k in zip(parts, (1.0, 0.0, 0.0), strict=True)
         ]
-    return _law([p.T for p in parts], limits, parameter[kept], index, programmed, rest)
+    return law_of([p.T for p in parts], limits, parameter[kept], index, programmed, rest)
 
 
 def jerk_law_from_derivatives(
@@ -135,11 +135,25 @@ def jerk_law_from_derivatives(
     parts = [
         jnp.column_stack([x, length[:, k]])[kept].T for k, x in enumerate((dq, ddq, dddq))
     ]
-    return _law(parts, limits, sigma[kept], index, programmed, rest)
+    return law_of(parts, limits, sigma[kept], index, programmed, rest)
 
 
-def _law(parts, limits, sigma, index, programmed, rest) -> JerkLaw:
-    """From the derivatives of axes and length (the last row) at distinct samples."""
+def law_of(
+    parts, limits, sigma, index, programmed, rest, halves=None, found_by=None
+) -> JerkLaw:
+    """From the derivatives of axes and length (the last row) at distinct samples.
+
+    Args:
+        parts: First, second and third derivatives, `[axis, sample]`.
+        limits: The limits of the axes, or the machine that has them.
+        sigma: Path parameter of the samples.
+        index: Which of them each sample of the answer is.
+        programmed: Programmed feed [mm/s].
+        rest: Whether the path starts and ends at rest.
+        halves: First and second derivatives half-way, if known exactly.
+        found_by: How the rows of limits are met, given (rows, stencil, start); returns the
+            rows that were met in the end, and what was found. `search` if not given.
+    """
     limits = limits if isinstance(limits, Limits) else Limits.of(limits)
     if sigma.size < 6:
         raise ValueError(
@@ -149,15 +163,20 @@ def _law(parts, limits, sigma, index, programmed, rest) -> JerkLaw:
     real = jnp.arange(sigma.size) <= last
     sigma = increasing(sigma, last + 1)
     fault = _fault(parts, limits, programmed, real)
-    rho = shape(sigma, sigma[0], sigma[last], _rise(sigma, last), rest)
-    halves = 0.5 * (sigma[1:] + sigma[:-1])
-    mid = shape(halves, sigma[0], sigma[last], _rise(sigma, last), rest)
+    rho = shape(sigma, sigma[0], sigma[last], rise(sigma, last), rest)
+    mid = shape(
+        0.5 * (sigma[1:] + sigma[:-1]), sigma[0], sigma[last], rise(sigma, last), rest
+    )
     table = stencil(sigma, last, rest)
     cap = _cap(parts[0], limits, programmed)
-    rows = _rows(parts, limits, programmed, cap, rho, mid, sigma, real, rest)
-    frozen = jax.lax.stop_gradient((rows, table))
+    halves = _halves(parts, jnp.diff(sigma)) if halves is None else halves
+    rows = _rows(parts, limits, programmed, cap, rho, mid, sigma, real, rest, halves)
     start = jax.lax.stop_gradient(_start(parts, limits, cap, rho, sigma, last, rest))
-    found = jax.lax.stop_gradient(search(*frozen, start))
+    if found_by is None:
+        found = search(*jax.lax.stop_gradient((rows, table)), start)
+    else:
+        rows, found = found_by(rows, table, start)
+    found = jax.lax.stop_gradient(found)
     y, y1, y2 = apply(table, polish(rows, table, found))
     if rest[1]:  # the last interval is level
         y, y1, y2 = (x.at[last].set(k * x[last - 1]) for x, k in ((y, 1), (y1, 0), (y2, 0)))
@@ -195,7 +214,7 @@ def _law(parts, limits, sigma, index, programmed, rest) -> JerkLaw:
     )
 
 
-def _rise(sigma, last):
+def rise(sigma, last):
     """Length of the reference shape's rise."""
     return RISE * (sigma[last] - sigma[0]) / jnp.maximum(last, 1).astype(sigma.dtype)
 
@@ -244,7 +263,7 @@ def _limited(limits: Limits, path, each):
     return slice(0, m + 1), jnp.append(each, path)
 
 
-def _rows(parts, limits, programmed, cap, rho, mid, sigma, real, rest) -> Rows:
+def _rows(parts, limits, programmed, cap, rho, mid, sigma, real, rest, between) -> Rows:
     """The limits at the samples as rows of y, y' and y''."""
     h = jnp.diff(sigma)
     weight = jnp.where(real[1:], _duration(h, rho.root, 0.5 * rho.slope), 0.0)
@@ -258,7 +277,6 @@ def _rows(parts, limits, programmed, cap, rho, mid, sigma, real, rest) -> Rows:
     use, hold = _limited(limits, limits.path_acceleration, limits.acceleration)
     d1, d2 = parts[0][use], parts[1][use]
     force = jnp.stack([d2 * v + 0.5 * d1 * s, 0.5 * d1 * v])
-    between = _halves(parts, h)
     d1, d2 = (p[use] for p in between)
     value, slope = mid.value[None], mid.slope[None]
     half = jnp.stack([d2 * value + 0.5 * d1 * slope, 0.5 * d1 * value])
