@@ -162,6 +162,8 @@ def law_of(
     last = index[-1]
     real = jnp.arange(sigma.size) <= last
     sigma = increasing(sigma, last + 1)
+    # what stands past the end is as the end; differences there would be wild guesses
+    parts = [jnp.where(real[None], p, p[:, last][:, None]) for p in parts]
     fault = _fault(parts, limits, programmed, real)
     rho = shape(sigma, sigma[0], sigma[last], rise(sigma, last), rest)
     mid = shape(

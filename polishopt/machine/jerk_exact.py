@@ -111,17 +111,21 @@ def exact_jerk_law(
         def again(state):
             scale, found, uses, turn = state
             scale = scale * jnp.maximum(uses, 1.0)
-            found = search(_tighter(fixed, scale), table, found.c)
+            begin = jnp.where(turn == 0, start, found.c)
+            found = search(_tighter(fixed, scale), table, begin)
             return scale, found, uses_of(apply(table, found.c)), turn + 1
 
         def over(state):
             _, found, uses, turn = state
             enough = jnp.asarray([ENOUGH, ENOUGH, ENOUGH_JERK], uses.dtype)
-            return jnp.any(uses > enough[:, None]) & (turn < ROUNDS) & found.converged
+            wrong = jnp.any(uses > enough[:, None]) & found.converged
+            return (turn == 0) | (wrong & (turn < ROUNDS))
 
-        found = search(fixed, table, start)
-        uses = uses_of(apply(table, found.c))
-        state = (jnp.ones_like(uses), found, uses, 0)
+        # one loop for the first search too: to compile it once is long enough
+        none = jax.eval_shape(search, fixed, table, start)
+        none = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), none)
+        uses = jnp.zeros_like(spacing, shape=(3, n - 1))
+        state = (jnp.ones_like(uses), none, uses, jnp.zeros((), jnp.int32))
         scale, found, _, _ = jax.lax.while_loop(over, again, state)
         return _tighter(rows, scale), found
 
