@@ -221,6 +221,12 @@ def rise(sigma, last):
     return RISE * (sigma[last] - sigma[0]) / jnp.maximum(last, 1).astype(sigma.dtype)
 
 
+def _shaped(rho: Shape, real) -> Shape:
+    """The reference shape, level where there is no path."""
+    level = Shape(*(jnp.full_like(rho.value, x) for x in (1.0, 0.0, 1.0, 0.0)))
+    return jax.tree.map(lambda x, y: jnp.where(real, x, y), rho, level)
+
+
 def _duration(h, rate, change):
     r"""Time between samples, exact for constant jerk.
 
