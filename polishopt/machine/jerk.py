@@ -165,10 +165,9 @@ def law_of(
     # what stands past the end is as the end; differences there would be wild guesses
     parts = [jnp.where(real[None], p, p[:, last][:, None]) for p in parts]
     fault = _fault(parts, limits, programmed, real)
-    rho = shape(sigma, sigma[0], sigma[last], rise(sigma, last), rest)
-    mid = shape(
-        0.5 * (sigma[1:] + sigma[:-1]), sigma[0], sigma[last], rise(sigma, last), rest
-    )
+    ends = sigma[0], sigma[last], rise(sigma, last), rest
+    rho = _shaped(shape(sigma, *ends), real)
+    mid = _shaped(shape(0.5 * (sigma[1:] + sigma[:-1]), *ends), real[1:])
     table = stencil(sigma, last, rest)
     cap = _cap(parts[0], limits, programmed)
     halves = _halves(parts, jnp.diff(sigma)) if halves is None else halves
@@ -188,8 +187,8 @@ def law_of(
     b = rho.value * y
     length = [p[-1] for p in parts]
     code, axis, limit = _limiting(rows, parts, limits, cap, b, y, y1, y2)
-    ends = jnp.zeros_like(real).at[0].set(rest[0]).at[last].set(rest[1])
-    code = jnp.where(ends, 3 * limits.speed.size + 3, code)
+    still = jnp.zeros_like(real).at[0].set(rest[0]).at[last].set(rest[1])
+    code = jnp.where(still, 3 * limits.speed.size + 3, code)
     worst = jnp.argmax(jnp.where(jnp.isfinite(found.excess), found.excess, jnp.inf))
     lost = ~found.converged & (fault.kind == SOUND)
     fault = Fault(
