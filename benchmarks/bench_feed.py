@@ -1,7 +1,8 @@
 """Feed: how long the time law of a five-axis path takes to compile and to run.
 
 Prints, for several numbers of samples, the compile time, the run time (median of 20)
-and what a gradient costs beside it; then the averaged model's feed in many loops at
+and what a gradient costs beside it, with speeds and accelerations limited and then with
+jerk too; then the averaged model's feed in many loops at
 once; then toppra on the same path, where it is installed. Run as
 
     python benchmarks/bench_feed.py
@@ -14,7 +15,7 @@ import time
 import jax
 import jax.numpy as jnp
 import numpy as np
-from polishopt.machine import Limits, loop_rate, time_law
+from polishopt.machine import Limits, jerk_law, loop_rate, time_law
 
 
 jax.config.update("jax_enable_x64", True)
@@ -22,6 +23,7 @@ jax.config.update("jax_enable_x64", True)
 LIMITS = Limits(
     speed=[500.0, 500.0, 500.0, 1.571, 2.094],
     acceleration=[2500.0, 3000.0, 2100.0, 5.2, 5.2],
+    jerk=[5e3, 5e3, 5e4, 31.0, 310.0],
 )
 FEED = jnp.asarray(100.0)
 PER_LOOP = 64
@@ -63,13 +65,19 @@ def total(axes, arc, acceleration, feed):
     return time_law(axes, limits, arc, feed).total
 
 
-def bench_path(n):
+def total_with_jerk(axes, arc, acceleration, feed):
+    limits = Limits(LIMITS.speed, acceleration, jerk=LIMITS.jerk)
+    return jerk_law(axes, limits, arc, feed).total
+
+
+def bench_path(n, total, name):
     axes, arc = trochoid(n)
     args = (axes, arc, LIMITS.acceleration, FEED)
     compiling, forward = measure(jax.jit(total), *args)
     compiling_back, back = measure(jax.jit(jax.value_and_grad(total, (0, 2, 3))), *args)
     print(
-        f"{n:>9} samples   compile {compiling:5.2f} s   run {forward * 1e3:8.2f} ms   "
+        f"{n:>9} samples {name:>12}   compile {compiling:5.2f} s   "
+        f"run {forward * 1e3:8.2f} ms   "
         f"with gradient: compile {compiling_back:5.2f} s   run {back * 1e3:8.2f} ms   "
         f"ratio {back / forward:4.2f}"
     )
@@ -120,7 +128,8 @@ def bench_toppra(n, points):
 
 if __name__ == "__main__":
     for samples in (1_000, 10_000, 100_000, 1_000_000):
-        bench_path(samples)
+        bench_path(samples, total, "acceleration")
+        bench_path(samples, total_with_jerk, "jerk")
     bench_loops()
     if importlib.util.find_spec("toppra"):
         for points in (1_000, 10_000):

@@ -17,8 +17,8 @@ from polishopt.chain import polish
 from polishopt.contact.removal import Grid
 from polishopt.files.assemble import job
 from polishopt.files.config import load
-from polishopt.machine.feed import usage
 from polishopt.machine.kinematics import inverse
+from polishopt.machine.usage import usage
 from polishopt.path.guide import hilbert, lines
 from polishopt.path.surface import Plane, SphereCap
 from polishopt.path.toolpath import posture

@@ -1,9 +1,16 @@
 """Machine: which axis positions a tool path asks for, and how fast they can be run.
 
 - kinematics   axis positions of a posture, and the posture of axis positions
+- route        which of two solutions a path takes, and whether the machine can run it
 - sweep        the fastest motion along a path whose derivatives are known
 - feed         feed, time and what limits them along a sampled path
 - exact        the same along a path known as a function, limits kept between samples too
+- shape        how the squared rate runs along the path when jerk is bounded
+- banded       linear systems whose unknowns meet only their neighbours
+- interior     the least time within limits, jerk included
+- jerk         feed, time and what limits them when jerk is honoured
+- jerk_exact   the same along a path known as a function, limits kept between samples too
+- usage        how much of each limit a time law uses, between the samples too
 - loop         the feed in one loop of the trochoid that is run again and again
 """
 
@@ -11,16 +18,30 @@ from .exact import exact_time_law as exact_time_law
 from .feed import (
     Limits as Limits,
     TimeLaw as TimeLaw,
-    Usage as Usage,
     derivatives as derivatives,
     limiting_name as limiting_name,
     time_law as time_law,
     time_law_from_derivatives as time_law_from_derivatives,
-    usage as usage,
 )
+from .jerk import (
+    JerkLaw as JerkLaw,
+    check as check,
+    jerk_law as jerk_law,
+    jerk_law_from_derivatives as jerk_law_from_derivatives,
+)
+from .jerk_exact import exact_jerk_law as exact_jerk_law
 from .kinematics import (
     forward as forward,
     inverse as inverse,
     inverse_path as inverse_path,
 )
 from .loop import loop_rate as loop_rate
+from .route import (
+    Fault as Fault,
+    Kind as Kind,
+    Route as Route,
+    faults as faults,
+    reasons as reasons,
+    route as route,
+)
+from .usage import Usage as Usage, usage as usage

@@ -2,15 +2,13 @@ r"""Feed: how fast the contact point can really go along a sampled path.
 
 `sweep` knows the fastest motion from the derivatives of the axes. Here these come from
 the axis positions at the samples, and the motion becomes feed, time and the limit that
-holds at each sample. `usage` checks a time law against the limits between the samples.
+holds at each sample.
 """
 
-import functools
-from collections.abc import Callable
+import math
 from typing import SupportsInt
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -33,25 +31,15 @@ class TimeLaw(eqx.Module):
     """Time for the whole path [s]: the last of `time`, but cheaper to differentiate."""
 
 
-class Usage(eqx.Module):
-    """The largest share of each limit that a time law uses; 1 is all of it."""
-
-    programmed: Scalar
-    """Of the programmed feed [-]."""
-    speed: Float[Array, " m"]
-    """Of each axis's speed [-]."""
-    acceleration: Float[Array, " m"]
-    """Of each axis's acceleration [-]."""
-
-
 def limiting_name(code: SupportsInt, names: tuple[str, ...] = AXES) -> str:
     """What a code of `TimeLaw.limiting` stands for, in words."""
     number, m = int(code), len(names)
     if number == 0:
         return "programmed feed"
-    if number > 2 * m:
-        return "start or end"
-    return f"{names[(number - 1) % m]} {'speed' if number <= m else 'acceleration'}"
+    if number > 3 * m:
+        return ("path acceleration", "path jerk", "start or end")[number - 3 * m - 1]
+    kind = ("speed", "acceleration", "jerk")[(number - 1) // m]
+    return f"{names[(number - 1) % m]} {kind}"
 
 
 def time_law(
@@ -85,7 +73,7 @@ def time_law(
     Source: Own derivation.
     """
     parameter = arc if sigma is None else sigma
-    kept, index = _distinct(parameter)
+    kept, index = distinct(parameter)
     columns = axes if sigma is None else jnp.column_stack([axes, arc])
     first, second = derivatives(columns[kept], parameter[kept], index[-1] + 1)
     first, second = first[index], second[index]
@@ -140,7 +128,7 @@ def time_law_from_derivatives(
         feed=length_rate * rate,
         rate=rate,
         time=jnp.pad(jnp.cumsum(dt), (1, 0)),
-        limiting=jnp.where(imposed, 2 * limits.speed.size + 1, code),
+        limiting=jnp.where(imposed, 3 * limits.speed.size + 3, code),
         total=jnp.sum(dt),
     )
 
@@ -149,116 +137,60 @@ def derivatives(
     values: Float[Array, "n m"],
     sigma: Float[Array, " n"],
     count: Int[Array, ""] | None = None,
-) -> tuple[Float[Array, "n m"], Float[Array, "n m"]]:
-    r"""First and second derivatives of sampled values by the path parameter.
+    order: int = 2,
+) -> tuple[Float[Array, "n m"], ...]:
+    r"""Derivatives of sampled values by the path parameter.
 
     Those of the polynomial through each sample and its two neighbours on either side, so
     the error is of order $h^4$ for even samples ($h^3$ in the second derivative for
-    uneven ones and for the two samples at each end).
+    uneven ones and for the two samples at each end; $h^2$ in the third).
 
     Args:
         values: Values at the samples.
         sigma: Path parameter, strictly increasing.
         count: How many samples, from the first, are real; all if not given.
+        order: How often to differentiate, at most.
 
     Returns:
-        First and second derivative at each sample.
+        First, second, ... derivative at each sample.
 
     Source: Own derivation (Lagrange's polynomial).
     """
     n = sigma.size
     width = min(n, 5)
     real = n if count is None else count
-    # past the last real sample, any increasing abscissa will do: it is never weighted
-    mean = (sigma[-1] - sigma[0]) / (n - 1)
-    beyond = jnp.maximum(jnp.arange(n) - (real - 1), 0)
-    sigma = sigma + jnp.where(mean > 0.0, mean, 1.0) * beyond.astype(sigma.dtype)
+    sigma = increasing(sigma, real)
     first = jnp.clip(jnp.arange(n) - width // 2, 0, jnp.maximum(real - width, 0))
     window = first[:, None] + jnp.arange(width)[None]
     node = sigma[window]  # (n, width)
     gap = sigma[:, None] - node
     change = values[window] - values[:, None, :]  # (n, width, m)
-    d1, d2 = jnp.zeros_like(values), jnp.zeros_like(values)
+    totals = [jnp.zeros_like(values)] * order
     for k in range(width):
         others = [gap[:, l] for l in range(width) if l != k]
         below = 1.0
         for l in range(width):
             below = below * ((node[:, k] - node[:, l]) if l != k else 1.0)
         # the basis polynomial is (a product of the others) / below: its derivatives are
-        # the sums of products that leave out one, or two, of the others
-        products = [jnp.ones_like(below), jnp.zeros_like(below), jnp.zeros_like(below)]
+        # the sums of products that leave out one, or two, ... of the others
+        products = [jnp.ones_like(below)] + [jnp.zeros_like(below)] * order
         for y in others:
-            products = [
-                products[0] * y,
-                products[1] * y + products[0],
-                products[2] * y + products[1],
-            ]
-        d1 = d1 + (products[1] / below)[:, None] * change[:, k]
-        d2 = d2 + (2.0 * products[2] / below)[:, None] * change[:, k]
-    return d1, d2
+            lower = [jnp.zeros_like(below), *products[:-1]]
+            products = [p * y + q for p, q in zip(products, lower, strict=True)]
+        for r in range(order):
+            times = math.factorial(r + 1)
+            totals[r] = (
+                totals[r] + (times * products[r + 1] / below)[:, None] * change[:, k]
+            )
+    return tuple(totals)
 
 
-def usage(
-    axes: Float[Array, "n m"],
-    law: TimeLaw,
-    limits: Limits | Machine,
-    arc: Float[Array, " n"],
-    programmed: Scalar,
-    sigma: Float[Array, " n"] | None = None,
-    path: Callable[[Scalar], Float[Array, " m"]] | None = None,
-    finer: int = 10,
-) -> Usage:
-    """How much of each limit a time law uses, looked at between the samples too.
-
-    Between samples the squared rate is linear, as `sweep` takes it, and the path is
-    `path` or, without one, the quintic through the positions and derivatives at the
-    samples. For checks: it holds `finer` values of everything for each sample.
-
-    Args:
-        axes: Axis positions at the samples [mm or rad].
-        law: The time law to check.
-        limits: The limits of the axes, or the machine that has them.
-        arc: Length of the contact path up to each sample [mm].
-        programmed: Programmed feed of the contact point [mm/s].
-        sigma: Path parameter; the arc itself if not given.
-        path: Axis positions as a function of the path parameter, if known exactly.
-        finer: Points to look at in each interval.
-
-    Returns:
-        The largest use of each limit [-].
-
-    Source: Own derivation.
-    """
-    limits = limits if isinstance(limits, Limits) else Limits.of(limits)
-    parameter = arc if sigma is None else sigma
-    kept, index = _distinct(parameter)
-    d1, d2 = (x[index] for x in derivatives(axes[kept], parameter[kept], index[-1] + 1))
-    spacing = jnp.diff(parameter)
-    moving = spacing > 0.0
-    h = jnp.where(moving, spacing, 1.0)
-    b = law.rate**2
-    a = jnp.where(moving, jnp.diff(b) / (2.0 * h), 0.0)
-
-    def within(t: Scalar) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-        """Uses of speed and acceleration at the fraction t of every interval."""
-        if path is not None:
-            here = parameter[:-1] + t * spacing
-            first, second = jax.vmap(functools.partial(_slope_and_bend, path))(here)
-        else:
-            pieces = (axes[:-1], axes[1:], d1[:-1], d1[1:], d2[:-1], d2[1:])
-            first, second = _quintic(t, h[:, None], *pieces)
-        b_here = (b[:-1] + t * (b[1:] - b[:-1]))[:, None]
-        speed = jnp.abs(first) * jnp.sqrt(jnp.maximum(b_here, 0.0)) / limits.speed[None]
-        force = jnp.abs(first * a[:, None] + second * b_here) / limits.acceleration[None]
-        speed = jnp.where(moving[:, None], speed, 0.0)
-        return speed.max(0), jnp.where(moving[:, None], force, 0.0).max(0)
-
-    speed, force = jax.lax.map(within, jnp.linspace(0.0, 1.0, finer + 1))
-    return Usage(
-        programmed=jnp.max(law.feed) / programmed,
-        speed=speed.max(0),
-        acceleration=force.max(0),
-    )
+def increasing(sigma: Float[Array, " n"], real: int | Int[Array, ""]) -> Float[Array, " n"]:
+    """The parameter with any increasing tail past its real samples, never weighted."""
+    n = sigma.size
+    mean = (sigma[-1] - sigma[0]) / (n - 1)
+    beyond = jnp.maximum(jnp.arange(n) - (real - 1), 0)
+    return sigma + jnp.where(mean > 0.0, mean, 1.0) * beyond.astype(sigma.dtype)
 
 
 def _limiting(dq, ddq, length_rate, spacing, programmed, limits, b):
@@ -277,7 +209,7 @@ def _limiting(dq, ddq, length_rate, spacing, programmed, limits, b):
     return jnp.argmax(jnp.concatenate(shares, axis=1), axis=1)
 
 
-def _distinct(sigma: Float[Array, " n"]) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
+def distinct(sigma: Float[Array, " n"]) -> tuple[Int[Array, " n"], Int[Array, " n"]]:
     """Samples that move on, in order (padded with the last), and each sample's place."""
     n = sigma.size
     mean = (sigma[-1] - sigma[0]) / (n - 1)
@@ -285,30 +217,6 @@ def _distinct(sigma: Float[Array, " n"]) -> tuple[Int[Array, " n"], Int[Array, "
     on = on.at[0].set(True)
     kept = jnp.nonzero(on, size=n, fill_value=n - 1)[0]
     return kept, jnp.cumsum(on) - 1
-
-
-def _slope_and_bend(
-    path: Callable[[Scalar], Float[Array, " m"]], s: Scalar
-) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-    """First and second derivative of a path by its parameter."""
-
-    def slope(s: Scalar) -> Float[Array, " m"]:
-        return jax.jvp(path, (s,), (jnp.ones_like(s),))[1]
-
-    return jax.jvp(slope, (s,), (jnp.ones_like(s),))
-
-
-def _quintic(t, h, q0, q1, d0, d1, s0, s1):
-    """Derivatives of the quintic with given values, slopes and second derivatives."""
-    u, w = d0 * h, d1 * h
-    p, r = s0 * h**2, s1 * h**2
-    rise = q1 - q0
-    c3 = 10.0 * rise - 6.0 * u - 4.0 * w - 1.5 * p + 0.5 * r
-    c4 = -15.0 * rise + 8.0 * u + 7.0 * w + 1.5 * p - r
-    c5 = 6.0 * rise - 3.0 * (u + w) - 0.5 * (p - r)
-    first = u + t * (p + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5)))
-    second = p + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5))
-    return first / h, second / h**2
 
 
 def _safe_sqrt(x: Float[Array, " n"]) -> Float[Array, " n"]:

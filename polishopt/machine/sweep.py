@@ -21,8 +21,13 @@ from jaxtyping import Array, Float, Int
 from ..parts import AXES, Machine, Scalar, as_array
 
 
+def _or_none(x):
+    """Numbers as a float array, or None."""
+    return None if x is None else as_array(x)
+
+
 class Limits(eqx.Module):
-    """What each axis can do, for any number of axes."""
+    """What each axis can do, for any number of axes, and what the path may ask of them."""
 
     speed: Float[Array, " m"] = eqx.field(converter=as_array)
     """Fastest speed of each axis [mm/s or rad/s]; infinite for no limit."""
@@ -30,11 +35,19 @@ class Limits(eqx.Module):
     """Largest acceleration of each axis [mm/s^2 or rad/s^2]; infinite for no limit."""
     names: tuple[str, ...] = eqx.field(static=True, default=AXES)
     """What people call the axes."""
+    jerk: Float[Array, " m"] | None = eqx.field(converter=_or_none, default=None)
+    """Largest jerk of each axis [mm/s^3 or rad/s^3], for `jerk_law`; None for no limit."""
+    path_acceleration: Scalar | None = eqx.field(converter=_or_none, default=None)
+    """Largest change of the feed, for `jerk_law` [mm/s^2]; None for no limit."""
+    path_jerk: Scalar | None = eqx.field(converter=_or_none, default=None)
+    """Largest jerk along the path, for `jerk_law` [mm/s^3]; None for no limit."""
 
     @classmethod
     def of(cls, machine: Machine) -> "Limits":
         """The limits of a machine's own axes."""
-        return cls(speed=machine.max_speed, acceleration=machine.max_acceleration)
+        return cls(
+            machine.max_speed, machine.max_acceleration, machine.names, machine.max_jerk
+        )
 
 
 def sweep(
