@@ -79,7 +79,9 @@ def cut(path: Run, process: Process, setup: Setup, tolerance: float) -> Blocks:
 
     Source: Own derivation.
     """
-    known = Poses(*(np.asarray(x) for x in (path.posture.tip, path.posture.axis, path.axes)))
+    known = Poses(
+        *(np.asarray(x) for x in (path.posture.tip, path.posture.axis, path.axes))
+    )
     s, radius = np.asarray(path.s), float(setup.tool.radius)
     machine = setup.machine
     given = (setup.surface, setup.guide, process, setup.tool.radius)
@@ -119,7 +121,10 @@ def cut(path: Run, process: Process, setup: Setup, tolerance: float) -> Blocks:
         worst = np.insert(worst, over, np.nan)
         knots = np.insert(knots, over + 1, added)
         poses = Poses(
-            *(np.insert(a, over + 1, b, axis=0) for a, b in zip(_rows(poses), _rows(extra), strict=True))
+            *(
+                np.insert(a, over + 1, b, axis=0)
+                for a, b in zip(_rows(poses), _rows(extra), strict=True)
+            )
         )
     short = ~long & (worst > AIM * tolerance)
     # np.interp cannot know that a jump takes time: an axis's own speed says so

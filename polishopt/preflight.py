@@ -6,6 +6,7 @@ wants to know: how long it takes, how hard the rotary axes work, and where the p
 the pole, near which the rotary axis next to the part whips round.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -80,18 +81,10 @@ def obstacles(path: Run, machine: Machine) -> list[Finding]:
                 prevents=True,
             )
         ]
-    found = []
-    for i, (low, high) in enumerate(zip(*travel(machine), strict=True)):
-        over = np.maximum(low - axes[:, i], axes[:, i] - high)
-        if over.max() > BEYOND:
-            first, worst = int(np.argmax(over > BEYOND)), int(np.argmax(over))
-            found.append(
-                f"{names[i]} would have to reach {position(axes[worst, i], i)} "
-                f"{at(worst)}, beyond its travel from {position(low, i)} to "
-                f"{position(high, i)}, which it first leaves at sample {first + 1}."
-            )
+    found = beyond(axes, machine, at)
+    for i in np.flatnonzero(~(speed > 0)).tolist():
         moved = np.flatnonzero(np.abs(axes[:, i] - axes[0, i]) > BEYOND)
-        if moved.size and not speed[i] > 0:
+        if moved.size:
             found.append(
                 f"{names[i]} would have to leave {position(axes[0, i], i)} {at(moved[0])}, "
                 "but its speed limit is 0."
@@ -102,6 +95,28 @@ def obstacles(path: Run, machine: Machine) -> list[Finding]:
         limit = limiting_name(np.asarray(path.law.limiting)[stuck], names)
         found.append(f"The motion comes to a stop {at(stuck)}: {limit}.")
     return [Finding(sentence, prevents=True) for sentence in found]
+
+
+def beyond(axes: np.ndarray, machine: Machine, at: Callable[[int], str]) -> list[str]:
+    """Sentences on axis positions that lie beyond the travels.
+
+    Args:
+        axes: Positions of the linear [mm] and rotary axes [rad], one a row.
+        machine: The machine.
+        at: Where a row lies, in words.
+    """
+    found, names = [], axis_names(machine)
+    for i, (low, high) in enumerate(zip(*travel(machine), strict=True)):
+        over = np.maximum(low - axes[:, i], axes[:, i] - high)
+        if over.max() > BEYOND:
+            worst, first = int(np.argmax(over)), int(np.argmax(over > BEYOND))
+            left = f", which it first leaves at sample {first + 1}" if first < worst else ""
+            found.append(
+                f"{names[i]} would have to reach {position(axes[worst, i], i)} "
+                f"{at(worst)}, beyond its travel from {position(low, i)} to "
+                f"{position(high, i)}{left}."
+            )
+    return found
 
 
 def remarks(path: Run, process: Process, machine: Machine) -> list[Finding]:
@@ -149,9 +164,12 @@ def _turning(path: Run, machine: Machine, i: int) -> str:
     if np.isfinite(limit):
         sentence += f", {100 * min(speed.max() / limit, 1.0):.0f} % of its speed limit"
     code = np.asarray(path.law.limiting)[1:]
-    own = np.isin([limiting_name(c, axis_names(machine)).split()[0] for c in range(code.max() + 1)], name)
+    limits = [limiting_name(c, axis_names(machine)) for c in range(code.max() + 1)]
+    own = np.array([limit.split()[0] == name for limit in limits])
     share = float(step[own[code]].sum() / step.sum())
-    return sentence + (f"; it limits the feed for {100 * share:.2g} % of the time." if share else ".")
+    if share > 0:
+        sentence += f"; it limits the feed for {100 * share:.2g} % of the time"
+    return sentence + "."
 
 
 def _pole(path: Run, process: Process, machine: Machine) -> str:
@@ -173,9 +191,9 @@ def _pole(path: Run, process: Process, machine: Machine) -> str:
     times = "once" if count == 1 else f"{count} times"
     return (
         f"The tool axis passes the pole, the direction of {name}, {times}: as near as "
-        f"{within} at sample {nearest + 1} of {angle.size}. There {name} would have to turn "
-        f"at up to {asked.max() / limit:.3g} times its speed limit, and the feed falls to "
-        f"{60 * feed[feed > 0].min(initial=np.inf):.3g} mm/min."
+        f"{within} at sample {nearest + 1} of {angle.size}. There {name} would have to "
+        f"turn at up to {asked.max() / limit:.3g} times its speed limit, and the feed "
+        f"falls to {60 * feed[feed > 0].min(initial=np.inf):.3g} mm/min."
     )
 
 
