@@ -10,7 +10,7 @@ import pytest
 # Modules from the lowest floor to the highest; each may import what stands before it.
 # All of `files` is one place: its modules read each other in any order.
 FLOORS = """
-units parts
+units stored parts
 path.surface path.corner path.guide path.trochoid path.toolpath path
 machine.kinematics machine.sweep machine.feed machine.loop machine
 contact.pressure contact.removal contact.ripple contact

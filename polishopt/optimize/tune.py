@@ -25,6 +25,7 @@ from ..chain import Outcome, polish
 from ..parts import Process, Scalar, as_scalar
 from ..plan import Plan, PlanOutcome, follow
 from ..setup import Setup
+from ..stored import stored
 from .auglag import solve
 from .certificate import Solution, Status
 from .goals import (
@@ -149,12 +150,13 @@ class _Stage(eqx.Module):
     """Cost of the given start, so that the residual is of size one."""
 
 
-@eqx.filter_jit
+@stored
 def _search(places, lower, upper, stage: _Stage, secondary, tolerance, chain) -> Solution:
     """One search from each place, side by side; both stages share the compilation.
 
-    The chain comes jitted: however often the solver calls it, it is traced once.
+    However often the solver calls the chain, jitted it is traced once.
     """
+    chain = eqx.filter_jit(chain)
 
     def values(x, stage):
         given = applied(stage.fixed, _steps(stage.setup), x)
@@ -332,7 +334,7 @@ def tune(
     upper = {name: as_scalar(high) for name, (_, high) in between.items()}
     places = spread_starts(first, between, starts, seed)
 
-    outcome: Callable[..., Any] = eqx.filter_jit(chain)
+    outcome: Callable[..., Any] = stored(chain)
     unit = jnp.maximum(_cost(outcome(begin, setup), secondary), 1e-12)
 
     # an accelerator takes all starts at once
@@ -342,7 +344,7 @@ def tune(
         stage = _Stage(setup, begin, dict(target), limits, weight, unit)
 
         def some(part):
-            return _search(part, lower, upper, stage, secondary, tolerance, outcome)
+            return _search(part, lower, upper, stage, secondary, tolerance, chain)
 
         return _in_batches(some, places, together)
 
