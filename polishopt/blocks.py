@@ -15,7 +15,6 @@ and the jump stays a move of its own.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +24,7 @@ from .parts import Machine, Process
 from .path.toolpath import resolved
 from .resolved import Run
 from .setup import Setup
+from .stored import stored
 
 
 # Poses worked out at a time: a number that is compiled once for all paths.
@@ -212,7 +212,7 @@ def chunks(function: Callable, *columns: np.ndarray) -> list[np.ndarray]:
     return [np.concatenate([np.asarray(p) for p in part])[:count] for part in columns_of]
 
 
-@eqx.filter_jit
+@stored
 def _placed(s, near, machine, given, lean):
     """Tips, tool axes and axis positions at places of the guide, on the branch nearby."""
     surface, guide, process, radius = given
@@ -226,6 +226,6 @@ def _placed(s, near, machine, given, lean):
     return posture.tip, posture.axis, jax.vmap(positions)(posture.tip, posture.axis, near)
 
 
-@eqx.filter_jit
+@stored
 def _poses(axes, machine):
     return jax.vmap(lambda q: forward(q, machine))(axes)

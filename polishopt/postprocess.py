@@ -13,17 +13,20 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+import equinox as eqx
 import numpy as np
 
 from .blocks import Blocks, cut, poses_of
 from .files.assemble import NAMES
 from .files.ncode import DIALECTS, Header, Motion, Printed
+from .files.programmed import Program
 from .files.quantity import internal
 from .files.schema import StepConfig
 from .parts import Machine, Process
 from .preflight import Finding, axis_names, beyond, obstacles, remarks, travel
-from .resolved import Run
+from .resolved import Run, run, samples
 from .setup import Setup
+from .stored import stored
 from .units import from_internal, label, suffix
 
 
@@ -48,6 +51,43 @@ class Programs:
         return [one.sentence for one in self.findings if one.prevents]
 
 
+@dataclass(frozen=True)
+class Seen:
+    """A path as a program's moves, and what the machine will make of it."""
+
+    findings: list[Finding]
+    printed: Printed | None = None
+    """None where there is nothing to write."""
+    duration: float = 0.0
+    """Time of a pass [s]."""
+
+
+def seen(path: Run, process: Process, setup: Setup, asked: Program) -> Seen:
+    """Looks at a path, and cuts it into the moves of a program.
+
+    Args:
+        path: From `resolved.run` at phase zero.
+        process: Its settings.
+        setup: Its job.
+        asked: How programs are to be.
+    """
+    machine, given = setup.machine, internal(asked)
+    blocked = obstacles(path, machine)
+    if blocked:
+        return Seen(blocked)
+    findings = remarks(path, process, machine)
+    if not asked.dialects:
+        return Seen(findings)
+    blocks = cut(path, process, setup, given["chord_tolerance"])
+    motion, blocked = moves(blocks, process, machine, given)
+    findings += [Finding(sentence, prevents=True) for sentence in blocked]
+    findings.append(Finding(_lines(blocks, motion)))
+    if blocked:
+        return Seen(findings)
+    printed = Printed(motion.rounded(asked.decimals), asked.decimals)
+    return Seen(findings, printed, float(blocks.time[-1]))
+
+
 def programs(
     path: Run, process: Process, setup: Setup, config: StepConfig, step: int = 0
 ) -> Programs:
@@ -60,24 +100,44 @@ def programs(
         config: The config of both.
         step: Which step of a plan it is, from 1; 0 where there is but one.
     """
-    asked, machine = config.program, setup.machine
+    return _written(
+        seen(path, process, setup, config.program), process, setup, config, step
+    )
+
+
+def paths(jobs: Sequence[tuple[Process, Setup, StepConfig]]) -> list[Programs]:
+    """Runs the path of every step of a config, and makes its programs.
+
+    Args:
+        jobs: Settings, job and config of each step, or of the only one.
+    """
+    made, last, look = [], None, Seen([])
+    for i, (process, setup, config) in enumerate(jobs):
+        # steps that differ in the abrasive alone take the same way
+        way = (process, setup.surface, setup.guide, setup.tool.radius, setup.machine)
+        way = (*way, setup.pulling, setup.lean, config.program)
+        if last is None or not eqx.tree_equal(way, last):
+            path = stored(run)(process, setup, samples(process, setup))
+            look, last = seen(path, process, setup, config.program), way
+        step = i + 1 if len(jobs) > 1 else 0
+        made.append(_written(look, process, setup, config, step))
+    return made
+
+
+def _written(
+    look: Seen, process: Process, setup: Setup, config: StepConfig, step: int
+) -> Programs:
+    """The programs of a path that was looked at."""
+    asked = config.program
     stem = f"{asked.name}_{step}" if step else asked.name
     names = tuple(stem + one.ending for one in DIALECTS.values())
-    blocked = obstacles(path, machine)
-    if blocked:
-        return Programs(tuple(blocked), {}, names)
-    findings = remarks(path, process, machine)
-    blocks = cut(path, process, setup, internal(asked)["chord_tolerance"])
-    motion, blocked = moves(blocks, process, machine, internal(asked))
-    findings += [Finding(sentence, prevents=True) for sentence in blocked]
-    findings.append(Finding(_lines(blocks, motion, setup)))
-    if blocked:
-        return Programs(tuple(findings), {}, names)
-    letters = axis_names(machine)
+    if look.printed is None:
+        return Programs(tuple(look.findings), {}, names)
+    letters = axis_names(setup.machine)
     header = Header(
         name=stem,
         number=1000 + step,
-        notes=tuple(_notes(process, setup, config, blocks)),
+        notes=tuple(_notes(process, setup, config, look.duration)),
         tool=asked.tool_number or step or 1,
         spindle=round(from_internal(float(process.spin), "rpm"), 3),
         clockwise=asked.spindle_direction == "clockwise",
@@ -85,12 +145,11 @@ def programs(
         rotary=(letters[3], letters[4]),
         tolerance=asked.chord_tolerance_mm,
     )
-    printed = Printed(motion.rounded(asked.decimals), asked.decimals)
     texts = {
-        stem + DIALECTS[name].ending: DIALECTS[name].write(printed, header)
+        stem + DIALECTS[name].ending: DIALECTS[name].write(look.printed, header)
         for name in asked.dialects
     }
-    return Programs(tuple(findings), texts, names)
+    return Programs(tuple(look.findings), texts, names)
 
 
 def deliver(made: Sequence[Programs], folder: Path) -> list[Path]:
@@ -185,7 +244,7 @@ def _along(axes: np.ndarray, axis: np.ndarray, length: float, machine: Machine):
     return np.linalg.solve((tips[1:] - tips[:1]).T, length * axis)
 
 
-def _lines(blocks: Blocks, motion: Motion, setup: Setup) -> str:
+def _lines(blocks: Blocks, motion: Motion) -> str:
     """How many lines there are, and how true they are."""
     sentence = (
         f"A program has {motion.rapid.size} moves and strays from the path by at most "
@@ -197,7 +256,7 @@ def _lines(blocks: Blocks, motion: Motion, setup: Setup) -> str:
     return sentence + "."
 
 
-def _notes(process: Process, setup: Setup, config: StepConfig, blocks: Blocks):
+def _notes(process: Process, setup: Setup, config: StepConfig, duration: float):
     """What people should know of a program: a word, and what it is."""
     part, tool, abrasive = config.part, config.tool, config.abrasive
     sides = " x ".join(f"{side:g}" for side in part.size_mm)
@@ -218,4 +277,4 @@ def _notes(process: Process, setup: Setup, config: StepConfig, blocks: Blocks):
         value = from_internal(float(getattr(process, NAMES.get(word, word))), unit)
         yield word.replace("_", " "), f"{value:.6g} {label(unit)}".strip()
     yield "chord tolerance", f"{config.program.chord_tolerance_mm:g} mm"
-    yield "time of a pass", f"{blocks.time[-1] / 60:.2f} min"
+    yield "time of a pass", f"{duration / 60:.2f} min"

@@ -9,7 +9,6 @@ the pole, near which the rotary axis next to the part whips round.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from .machine.feed import limiting_name
 from .machine.kinematics import forward
 from .parts import AXES, Machine, Process
 from .resolved import Run
+from .stored import stored
 
 
 # A pose counts as reached within this share of its size [-].
@@ -197,7 +197,7 @@ def _pole(path: Run, process: Process, machine: Machine) -> str:
     )
 
 
-@eqx.filter_jit
+@stored
 def _pole_angle(axes, machine):
     """Angle of each tool axis to the pole [rad], and which rotary axis points there."""
 

@@ -42,29 +42,24 @@ def program(loaded: Loaded, target: Path | None, quiet: bool = False) -> int:
         target: Folder for the programs; None to write none.
         quiet: Whether to print nothing but what is in the way.
     """
-    import equinox as eqx
-
-    from . import resolved
     from .files.assemble import job as assemble
-    from .postprocess import deliver, programs
+    from .postprocess import deliver, paths
 
     steps = loaded.steps or (("", loaded.config),)
-    run, made = eqx.filter_jit(resolved.run), []
-    for i, (name, config) in enumerate(steps):
-        job = assemble(config, first=False)
-        path = run(job.process, job.setup, resolved.samples(job.process, job.setup))
-        one = programs(path, job.process, job.setup, config, i + 1 if name else 0)
-        made.append(one)
-        if not quiet:
-            print(*([name] if name else []), sep="\n", end="\n" if name else "")
+    jobs = [(assemble(config, first=False), config) for _, config in steps]
+    made = paths([(one.process, one.setup, config) for one, config in jobs])
+    for (name, _), one in zip(steps, made, strict=True):
+        if name and not quiet:
+            print(f"{name}:")
         for finding in one.findings:
             if finding.prevents:
                 print(finding.sentence, file=sys.stderr)
             elif not quiet:
                 print(finding.sentence)
     written = [] if target is None else deliver(made, target)
-    if not quiet and written:
-        print(*written, sep="\n")
+    if not quiet:
+        for path in written:
+            print(path)
     return 3 if any(one.prevented for one in made) else 0
 
 
