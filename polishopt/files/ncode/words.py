@@ -168,7 +168,7 @@ class Recorder:
         self.fast = False
         self.speed = math.nan
 
-    def fact(self, name: str, value: float) -> None:
+    def fact(self, name: str, value: float | int) -> None:
         """Keeps tool, spindle, clockwise or offset."""
         self.facts[name] = value
 
