@@ -95,19 +95,55 @@ AXES = ("X", "Y", "Z", "A", "C")
 
 
 class Machine(eqx.Module):
-    """A 5-axis milling centre whose table tilts about X (A) and turns about Z (C)."""
+    """A 5-axis machine: a chain of three linear and two rotary axes.
+
+    `chain` is its structural code, from the part to the tool: `w C A b X Y Z t` is a
+    table that C turns and A tilts (w is the work-piece, b the bed, t the tool), and a tool
+    that X, Y and Z move. Arrays of five follow `names`. With all axes at zero the tool tip
+    stands at the machine's origin and the spindle along its Z.
+
+    A positive position of a linear axis moves the tool against the part along the axis's
+    direction; a positive angle turns what the axis carries (the part, if it stands between
+    w and b, or else the tool) about it.
+    """
 
     max_speed: Float[Array, "5"] = eqx.field(converter=as_array)
-    """Fastest speed of X, Y, Z [mm/s], A, C [rad/s]."""
+    """Fastest speed of each axis [mm/s or rad/s]."""
     max_acceleration: Float[Array, "5"] = eqx.field(converter=as_array)
-    """Largest acceleration of X, Y, Z [mm/s^2], A, C [rad/s^2]."""
+    """Largest acceleration of each axis [mm/s^2 or rad/s^2]."""
     max_jerk: Float[Array, "5"] = eqx.field(converter=as_array)
-    """Largest jerk of X, Y, Z [mm/s^3], A, C [rad/s^3]."""
-    tilt_pivot: Float[Array, "3"] = eqx.field(
+    """Largest jerk of each axis [mm/s^3 or rad/s^3]."""
+    chain: str = eqx.field(static=True, default="w C A b X Y Z t")
+    """Its axes from the part (w) to the tool (t), with the bed (b) where it stands."""
+    directions: tuple[tuple[float, float, float], ...] = eqx.field(static=True, default=())
+    """Direction of each axis at zero; empty where each is that of its letter."""
+    pivots: Float[Array, "2 3"] = eqx.field(
+        converter=as_array, default_factory=lambda: jnp.zeros((2, 3))
+    )
+    """A point of each rotary axis in machine coordinates, all axes at zero [mm]."""
+    lower: Float[Array, "5"] = eqx.field(
+        converter=as_array, default_factory=lambda: jnp.full(5, -jnp.inf)
+    )
+    """Where the travel of each axis ends below [mm or rad]."""
+    upper: Float[Array, "5"] = eqx.field(
+        converter=as_array, default_factory=lambda: jnp.full(5, jnp.inf)
+    )
+    """Where it ends above [mm or rad]."""
+    offset: Float[Array, "3"] = eqx.field(
         converter=as_array, default_factory=lambda: jnp.zeros(3)
     )
-    """A point of the A axis, in machine coordinates at A = C = 0, T_A [mm]."""
-    turn_pivot: Float[Array, "3"] = eqx.field(
+    """Origin of the part, all axes at zero, from the pivot of the rotary axis next to it,
+    or from the machine's origin where no table turns it [mm]."""
+    wedge: Float[Array, "3"] = eqx.field(
         converter=as_array, default_factory=lambda: jnp.zeros(3)
     )
-    """From that point to the part's origin on the C axis, T_C [mm]."""
+    """How the part is turned on what carries it: about X, then Y, then Z [rad]."""
+    branch: int = eqx.field(static=True, default=0)
+    """Which solution of the rotary axes is run: 0 for the one that has the rotary axis
+    next to the tool at the larger angle, 1 for the other one."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What people call the axes: linear ones first, each kind by the alphabet."""
+        axes = [name for name in self.chain.split() if name in "XYZABC"]
+        return tuple(sorted(axes, key=lambda name: (name in "ABC", name)))

@@ -290,13 +290,38 @@ BAD = {
     ),
     "machine_axis_missing": (
         "machine: mikron_ucp710", "machine: {axes: {}}", 9, 11,
-        "machine.axes lacks the keys 'X', 'Y', 'Z', 'A', 'C'",
+        "machine.axes lacks the keys 'X', 'Y', 'Z'",
     ),
     "axis": (
         "machine: mikron_ucp710",
-        "machine: {preset: mikron_ucp710, axes: {A: {speed_rpm: 0}}}",
+        "machine: {preset: mikron_ucp710, axes: {A: {speed_rpm: -1}}}",
         9, 56,
-        "machine.axes.A.speed_rpm is 0, must lie in (0, 1e4] rpm",
+        "machine.axes.A.speed_rpm is -1, must lie in [0, 1e4] rpm",
+    ),
+    "axis_missing": (
+        "machine: mikron_ucp710",
+        "machine: {preset: mikron_ucp710, chain: w C B b X Y Z t}",
+        9, 41,
+        "must name X, Y, Z and two of A, B, C, once each, and just those that `axes` "
+        "describes: X, Y, Z, A, C",
+    ),
+    "chain": (
+        "machine: mikron_ucp710",
+        "machine: {preset: mikron_ucp710, chain: C A X Y Z}",
+        9, 41,
+        "must name the axes from w, the part, by b, the bed, to t, the tool",
+    ),
+    "rotary_parallel": (
+        "machine: mikron_ucp710",
+        "machine: {preset: mikron_ucp710, axes: {A: {direction: [0, 0, 1]}}}",
+        9, 19,
+        "must not have two rotary axes that are parallel",
+    ),
+    "travel": (
+        "machine: mikron_ucp710",
+        "machine: {preset: mikron_ucp710, axes: {A: {travel_deg: [30, -30]}}}",
+        9, 57,
+        "must have the lower end first, then a higher one",
     ),
     "axis_unit": (
         "machine: mikron_ucp710",
@@ -476,6 +501,8 @@ def test_presets_lie_under_typed_keys(tmp_path):
     deep = load(
         written(tmp_path, GOOD), ["machine.axes.A.speed_rpm=10"]
     ).config.machine.axes
+    assert deep.A is not None
+    assert deep.C is not None
     assert (deep.A.speed_rpm, deep.A.jerk_rev_s3, deep.C.speed_rpm) == (10.0, 5.0, 20.0)
 
 
@@ -546,6 +573,7 @@ def test_numbers_go_inside_in_mm_N_s_and_rad(tmp_path):
     assert internal(config.part)["size"] == (50.0, 50.0)
     assert config.tool.unstick is not None
     assert internal(config.tool.unstick)["force"] == (12.0, 14.0, 17.0, 18.0)
+    assert config.machine.axes.A is not None
     assert internal(config.machine.axes.A)["speed"] == pytest.approx(1.5707963268)
     assert config.target is not None
     assert internal(config.target)["Sq"].value == pytest.approx(50e-6)
@@ -667,7 +695,7 @@ def test_examples_follow_the_json_schema():
 def test_every_key_is_described_and_every_unit_known():
     def visit(section, name):
         for key, field in section.model_fields.items():
-            if key not in ("preset", "surface", "family", "X", "Y", "Z", "A", "C"):
+            if key not in ("preset", "surface", "family", *"XYZABC"):
                 assert field.description, f"{name}.{key}"
             for inner in sections(field.annotation):
                 visit(inner, f"{name}.{key}")

@@ -37,7 +37,7 @@ def milling_centre():
         max_speed=[500.0, 500.0, 500.0, math.pi / 2, 2 * math.pi / 3],
         max_acceleration=[2500.0, 3000.0, 2100.0, 5.2, 5.2],
         max_jerk=[5e3, 5e3, 5e4, 31.0, 310.0],
-        turn_pivot=[0.0, 0.0, 50.0],
+        offset=[0.0, 0.0, 50.0],
     )
 
 

@@ -1,25 +1,68 @@
 """Kinematics: there and back is the identity, and the pole is harmless."""
 
+import functools
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close, assert_gradient
-from polishopt.machine import forward, inverse, inverse_path
+from polishopt.files import library
+from polishopt.files.assemble import machine as assembled
+from polishopt.files.given import Machine as Section
+from polishopt.machine import Kind, faults, forward, inverse, inverse_path, reasons, route
+from polishopt.machine.kinematics import direction, reach, sides
 from polishopt.parts import Machine
 
 
 run_path = jax.jit(inverse_path)
+run_route = eqx.filter_jit(route)
+PRESETS = library.names("machines")
+# chains and directions that no preset has: an oblique table, a linear axis that a rotary
+# one carries, and an axis of turned sign
+ODD = {
+    "oblique": ("w C B b X Y Z t", {4 - 1: (0.0, 1.0, 1.0)}),
+    "carried": ("w C X A b Y Z t", {}),
+    "quill": ("w b X Y C Z A t", {}),
+    "sign": ("w X Y C b Z B t", {4: (0.0, 0.0, -1.0), 0: (-1.0, 0.0, 0.0)}),
+}
+
+
+def limited(**changes):
+    """A machine with numbers everywhere, so that nothing is there by chance."""
+    given = {
+        "max_speed": [500.0, 500.0, 500.0, 1.571, 2.094],
+        "max_acceleration": [2500.0, 3000.0, 2100.0, 5.2, 5.2],
+        "max_jerk": [5e3, 5e3, 5e4, 31.0, 310.0],
+        "pivots": [[0.02, -0.05, 0.1], [0.03, -0.02, 62.1]],
+    }
+    return Machine(**(given | changes))
 
 
 @pytest.fixture
 def machine():
-    return Machine(
-        max_speed=[500.0, 500.0, 500.0, 1.571, 2.094],
-        max_acceleration=[2500.0, 3000.0, 2100.0, 5.2, 5.2],
-        max_jerk=[5e3, 5e3, 5e4, 31.0, 310.0],
-        tilt_pivot=[0.02, -0.05, 0.1],
-        turn_pivot=[0.01, 0.03, 62.0],
+    return limited()
+
+
+def of(name, **changes):
+    """A preset, or an odd machine, with pivots, and a part that stands aside."""
+    changes = {
+        "pivots": [[1.0, -2.0, 250.0], [12.0, 3.0, -40.0]],
+        "offset": [5.0, -7.0, 11.0],
+        "wedge": [0.1, -0.2, 0.3],
+    } | changes
+    if name in ODD:
+        chain, turned = ODD[name]
+        plain = limited(chain=chain)
+        ways = tuple(turned.get(k, direction(plain, k)) for k in range(5))
+        return limited(chain=chain, directions=ways, **changes)
+    made = assembled(
+        Section.model_validate({"preset": name, **library.preset("machines", name)})
+    )
+    changes = {key: jnp.asarray(value) for key, value in changes.items()}
+    return eqx.tree_at(
+        lambda m: [getattr(m, k) for k in changes], made, [*changes.values()]
     )
 
 
@@ -39,15 +82,85 @@ def poses(count, seed=0):
     return jnp.asarray(rng.uniform(-100, 100, (count, 3))), jnp.asarray(axes)
 
 
-@pytest.mark.parametrize("branch", [0, 1])
-def test_forward_undoes_inverse(machine, branch):
-    tips, axes = poses(10_000)
-    back = jax.jit(
-        jax.vmap(lambda p, u: forward(inverse(p, u, machine, branch=branch), machine))
+@eqx.filter_jit
+def there_and_back(tips, axes, machine):
+    """Positions by both solutions, and the poses that they give."""
+
+    def one(tip, axis, branch):
+        found = inverse(tip, axis, machine, branch=branch)
+        return found, *forward(found, machine)
+
+    return [
+        jax.vmap(functools.partial(one, branch=branch))(tips, axes) for branch in (0, 1)
+    ]
+
+
+@pytest.mark.parametrize("name", [*PRESETS, "carried", "quill", "sign"])
+def test_forward_undoes_inverse(name):
+    """On a hundred thousand poses, by either solution."""
+    tips, axes = poses(100_000)
+    both = there_and_back(tips, axes, of(name))
+    for _, got_tips, got_axes in both:
+        assert_close(got_tips, tips, rtol=0, atol=1e-10)
+        assert_close(got_axes, axes, rtol=0, atol=1e-12)
+    # and they are two
+    apart = jnp.sin(0.5 * (both[0][0] - both[1][0])[:, 3:])
+    assert jnp.max(jnp.abs(apart)) > 0.1
+
+
+def test_an_oblique_axis_reaches_half_the_sphere():
+    """Turned about an axis at 45 degrees, the tool gets as far as the horizontal."""
+    tips, axes = poses(2000)
+    machine = of("oblique", wedge=[0.0, 0.0, 0.0])
+    within = np.asarray(jax.jit(jax.vmap(lambda u: reach(u, machine)))(axes)) >= 0.0
+    np.testing.assert_array_equal(within, np.asarray(axes)[:, 2] >= 0.0)
+    for found, got_tips, got_axes in there_and_back(tips, axes, machine):
+        assert np.isfinite(found).all()
+        assert_close(got_tips, tips, rtol=0, atol=1e-10)
+        assert_close(got_axes[within], axes[within], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [*PRESETS, "carried", "quill", "sign"])
+def test_forward_is_the_chain_as_matrices(name):
+    """The links one by one as 4 x 4 matrices: tool and part meet where they should."""
+    machine = of(name)
+
+    def matrix(way, angle=0.0, move=0.0, pivot=(0.0, 0.0, 0.0)):
+        x, y, z = way
+        skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        out = np.eye(4)
+        out[:3, :3] += np.sin(angle) * skew + (1 - np.cos(angle)) * skew @ skew
+        out[:3, 3] = move * np.asarray(way) + pivot - out[:3, :3] @ pivot
+        return out
+
+    rng = np.random.default_rng(1)
+    q = rng.uniform(-2, 2, 5).tolist()
+    back = [np.asarray(x) for x in jax.jit(forward)(jnp.asarray(q), machine)]
+    table, head = sides(machine)
+
+    def link(axis, sign):
+        if axis > 2:
+            return matrix(direction(machine, axis), q[axis], 0, machine.pivots[axis - 3])
+        return matrix(direction(machine, axis), move=sign * q[axis])
+
+    tool = np.linalg.multi_dot(
+        [np.eye(4), np.eye(4), *[link(a, 1) for a in reversed(head)]]
     )
-    got_tips, got_axes = back(tips, axes)
-    assert_close(got_tips, tips, rtol=0, atol=1e-10)
-    assert_close(got_axes, axes, rtol=0, atol=1e-12)
+    part = np.linalg.multi_dot(
+        [np.eye(4), np.eye(4), *[link(a, -1) for a in reversed(table)]]
+    )
+    origin = np.asarray(machine.offset)
+    rotary = [axis for axis in table if axis > 2]
+    if rotary:
+        origin = origin + np.asarray(machine.pivots)[rotary[0] - 3]
+    placed = matrix((0, 0, 1), move=0)
+    for way, angle in zip(np.eye(3), machine.wedge, strict=True):
+        placed = matrix(way, float(angle)) @ placed
+    placed[:3, 3] = origin
+    tip = part @ placed @ [*back[0], 1.0]
+    np.testing.assert_allclose(tip, tool @ [0, 0, 0, 1], atol=1e-10)
+    way = part @ placed @ [*back[1], 0.0]
+    np.testing.assert_allclose(way, tool @ [0, 0, 1, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 1e-12, 1e-9, 1e-6, 1e-3])
@@ -79,9 +192,8 @@ def test_tool_axis_is_brought_along_the_spindle(machine):
         tilt = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
         turn = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
         np.testing.assert_allclose(tilt @ turn @ u, [0, 0, 1], atol=1e-12)
-        at = np.asarray(machine.tilt_pivot) + tilt @ (
-            np.asarray(machine.turn_pivot) + turn @ tip
-        )
+        tilts, turns = np.asarray(machine.pivots)
+        at = tilts + tilt @ (turns - tilts + turn @ tip)
         np.testing.assert_allclose([x, y, z], at, atol=1e-10)
 
 
@@ -136,13 +248,7 @@ def test_gradient_is_that_of_differences(machine):
 def test_no_hidden_units(machine):
     """Restated in metres, linear axes scale and rotary ones do not change."""
     tips, axes = poses(20)
-    small = Machine(
-        max_speed=machine.max_speed,
-        max_acceleration=machine.max_acceleration,
-        max_jerk=machine.max_jerk,
-        tilt_pivot=machine.tilt_pivot * 1e-3,
-        turn_pivot=machine.turn_pivot * 1e-3,
-    )
+    small = eqx.tree_at(lambda m: m.pivots, machine, machine.pivots * 1e-3)
     got = run_path(tips * 1e-3, axes, small)
     want = run_path(tips, axes, machine)
     assert_close(got[:, :3], want[:, :3] * 1e-3, rtol=1e-9, atol=1e-12)
@@ -156,3 +262,78 @@ def test_single_precision(machine):
     got = run_path(tips.astype(jnp.float32), axes.astype(jnp.float32), single)
     assert got.dtype == jnp.float32
     assert_close(got, inverse_path(tips, axes, machine), rtol=1e-4, atol=1e-3)
+
+
+def crossing(miss, n=201):
+    """A tool axis that leans from one side to the other, `miss` beside the pole."""
+    lean = jnp.linspace(-0.2, 0.2, n)
+    axes = jnp.stack([jnp.full(n, miss), lean, jnp.ones(n)], axis=1)
+    return jnp.zeros((n, 3)), axes / jnp.linalg.norm(axes, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("miss", [0.0, 1e-6])
+def test_a_route_across_the_pole_is_continuous(name, miss):
+    """It changes to the other solution, says so, and gradients stay finite."""
+    machine = of(name, wedge=[0.0, 0.0, 0.0])
+    free = eqx.tree_at(
+        lambda m: (m.lower, m.upper), machine, (jnp.full(5, -jnp.inf), jnp.full(5, jnp.inf))
+    )
+    tips, axes = crossing(miss)
+    found = run_route(tips, axes, free)
+    steps = np.abs(np.diff(found.axes[:, 3:], axis=0)).max()
+    assert steps < 0.02
+    assert np.ptp(found.branch) == 1
+    assert not faults(found, free)
+    assert any("crosses the pole" in reason for reason in reasons(found, free))
+    back = jax.jit(jax.vmap(forward, in_axes=(0, None)))(found.axes, free)
+    assert_close(back[1], axes, rtol=0, atol=1e-5)
+    # with the branch kept, the rotary axis next to the part turns by half a turn
+    kept = run_path(tips, axes, free)
+    assert np.abs(np.diff(kept[:, 3:], axis=0)).max() > 1.0
+    slope = eqx.filter_jit(jax.grad(lambda u: jnp.sum(route(tips, u, free).axes)))(axes)
+    assert np.isfinite(slope).all()
+
+
+def test_a_route_stays_within_travel():
+    """By the solution and the whole turns it takes, and the reasons name them."""
+    turn = jnp.linspace(2.0, 7.0, 40)
+    tips, axes = jnp.zeros((40, 3)), axis_at(jnp.full(40, 0.5), turn)
+    low, high = [-jnp.inf] * 3, [jnp.inf] * 3
+    one_way = limited(lower=[*low, -2.0, -8.0], upper=[*high, 0.1, 3.0])
+    found = run_route(tips, axes, one_way)
+    assert_close(found.axes[:, 3], -0.5)
+    assert_close(found.axes[:, 4], turn - 3 * np.pi)
+    assert not faults(found, one_way)
+    said = " ".join(reasons(found, one_way))
+    assert "with the other one C or A leaves its travel" in said
+    assert "C begins 1 turn lower, to stay within its travel" in said
+
+
+def test_what_cannot_be_run_is_a_sentence():
+    turn = jnp.linspace(0.0, 7.0, 40)
+    tips, axes = jnp.zeros((40, 3)), axis_at(jnp.linspace(0.1, 0.5, 40), turn)
+    low, high = [-jnp.inf] * 3, [jnp.inf] * 3
+    narrow = limited(
+        lower=[*low, -0.3, -3.0],
+        upper=[*high, 0.3, 3.0],
+        max_speed=[1.0, 1.0, 1.0, 1.0, 0.0],
+    )
+    got = faults(run_route(tips, axes, narrow), narrow)
+    assert [(fault.kind, fault.axis) for fault in got] == [
+        (Kind.TRAVEL, "A"),
+        (Kind.TRAVEL, "C"),
+        (Kind.SPEED, "C"),
+    ]
+    assert got[0].sample == 20
+    assert "axis A leaves its travel at sample 20 of 40" in got[0].sentence
+    assert "28.6479 °, must lie in [-17.1887, 17.1887] °" in got[0].sentence
+    assert "axis C has to move at sample 0, but its largest speed is 0" in got[2].sentence
+    oblique = of("oblique", wedge=[0.0, 0.0, 0.0])
+    _, axes = poses(30)
+    (got, *_) = faults(run_route(jnp.zeros((30, 3)), axes, oblique), oblique)
+    assert (got.kind, got.sample) == (
+        Kind.REACH,
+        int(np.argmax(np.asarray(axes)[:, 2] < 0)),
+    )
+    assert "do not reach this orientation" in got.sentence

@@ -19,7 +19,7 @@ from ..constants import roughness_cumulants
 from ..optimize.calibrate import Data
 from ..optimize.goals import Goal, Limits, PlanLimits, mapped
 from ..optimize.runs import followed
-from ..parts import AXES, Abrasive, Machine, Process, Scalar, Tool, as_scalar
+from ..parts import Abrasive, Machine, Process, Scalar, Tool, as_scalar
 from ..path.guide import hilbert, lines
 from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
 from ..plan import Plan
@@ -29,6 +29,7 @@ from ..texture.milling import MilledSurface, milled_map
 from ..texture.scratches import Population, groove_population
 from ..units import suffix, to_internal
 from .asked import Chance
+from .given import Machine as MachineSection
 from .measured import start_map
 from .measurements import Measurements
 from .quantity import Tuned, internal
@@ -112,7 +113,7 @@ def job(config: StepConfig, first: bool = True) -> Job:
         guide=guide(config),
         tool=tool(config),
         abrasive=abrasive(config.abrasive),
-        machine=machine(config),
+        machine=machine(config.machine),
         start=start(config) if first else jobs.Start(),
         roughness_cutoff=internal(config.texture)["l_filter"],
         margin=MARGIN * min(config.part.size_mm) if margin is None else margin,
@@ -201,16 +202,28 @@ def abrasive(section) -> Abrasive:
     return Abrasive(**given)
 
 
-def machine(config: StepConfig) -> Machine:
-    """The machine."""
-    given = internal(config.machine)
-    axes = [internal(getattr(config.machine.axes, name)) for name in AXES]
+def machine(asked: MachineSection) -> Machine:
+    """The machine of a config section."""
+    names = asked.names()
+    axes = [internal(getattr(asked.axes, name)) for name in names]
+    placed = internal(asked.placement)
+    free = (-jnp.inf, jnp.inf)
+    travel = [axis["travel"] or free for axis in axes]
+    # the rotary axis next to the tool leans it: of both ways, the one with more room
+    leaning = [name for name in asked.chain.split() if name in ("A", "B", "C")][1]
+    low, high = travel[names.index(leaning)]
     return Machine(
         max_speed=[axis["speed"] for axis in axes],
         max_acceleration=[axis["acceleration"] for axis in axes],
         max_jerk=[axis["jerk"] for axis in axes],
-        tilt_pivot=given["tilt_pivot"],
-        turn_pivot=given["turn_pivot"],
+        chain=asked.chain,
+        directions=tuple(asked.direction(name) for name in names),
+        pivots=[axis["at"] for axis in axes[3:]],
+        lower=[low for low, _ in travel],
+        upper=[high for _, high in travel],
+        offset=placed["offset"],
+        wedge=placed["wedge"],
+        branch=int(-low > high),
     )
 
 

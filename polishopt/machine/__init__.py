@@ -1,6 +1,7 @@
 """Machine: which axis positions a tool path asks for, and how fast they can be run.
 
 - kinematics   axis positions of a posture, and the posture of axis positions
+- route        which of two solutions a path takes, and whether the machine can run it
 - sweep        the fastest motion along a path whose derivatives are known
 - feed         feed, time and what limits them along a sampled path
 - loop         the feed in one loop of the trochoid that is run again and again
@@ -22,3 +23,11 @@ from .kinematics import (
     inverse_path as inverse_path,
 )
 from .loop import loop_rate as loop_rate
+from .route import (
+    Fault as Fault,
+    Kind as Kind,
+    Route as Route,
+    faults as faults,
+    reasons as reasons,
+    route as route,
+)

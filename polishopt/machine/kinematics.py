@@ -1,32 +1,67 @@
 r"""Kinematics: where the axes must stand for the tool to stand on the part as asked.
 
-The machine is a table-table one: A tilts about X and carries C, which turns about Z and
-carries the part; the spindle stays along machine Z. A pose of the tool on the part is
-its extremity (tip) and its axis, both in the part frame; the axis positions are
-$(X, Y, Z, A, C)$, where $X, Y, Z$ are the machine coordinates of the tip. Every position
-of the tool axis has two solutions, and the one along the C axis (the pole) has infinitely
-many. Travel limits and collisions are not looked at.
+A machine is a chain of axes from the part to the tool, some of which carry the part and
+some the tool (see `parts.Machine`). Walking along it gives the pose of the tool on the
+part, its extremity (tip) and its axis, from axis positions.
+
+The way back is in closed form. Of all axes only the two rotary ones turn, so with $e_1$
+the one next to the part and $e_2$ the one next to the tool
+
+$$v = W u = R(e_1, \varphi_1)\, R(e_2, \varphi_2)\, e_z, \qquad \varphi = \mp q,$$
+
+minus for an axis under the part. $e_1 \cdot v$ does not know $\varphi_1$, which gives two
+$\varphi_2$, and each of them one $\varphi_1$; then the linear axes solve three linear
+equations. The axes need not be orthogonal: with a nutating one some orientations are out
+of reach. Where $v$ lies along $e_1$ (the pole) any $\varphi_1$ will do. Travel and the
+choice between solutions belong to `route`; collisions are not looked at.
 """
+
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..parts import Machine, Scalar
 
 
-def about_x(angle: Scalar) -> Float[Array, "3 3"]:
-    """Rotation by `angle` [rad] about X, as a matrix."""
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    one, zero = jnp.ones_like(c), jnp.zeros_like(c)
-    return jnp.array([[one, zero, zero], [zero, c, -s], [zero, s, c]])
+Fixed = tuple[float, float, float]
+# Coordinates; those that are known beforehand are plain numbers.
+Triple = Sequence[Scalar | float]
+
+UNITS: dict[str, Fixed] = {
+    "X": (1.0, 0.0, 0.0),
+    "Y": (0.0, 1.0, 0.0),
+    "Z": (0.0, 0.0, 1.0),
+}
+SPINDLE = UNITS["Z"]
 
 
-def about_z(angle: Scalar) -> Float[Array, "3 3"]:
-    """Rotation by `angle` [rad] about Z, as a matrix."""
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    one, zero = jnp.ones_like(c), jnp.zeros_like(c)
-    return jnp.array([[c, -s, zero], [s, c, zero], [zero, zero, one]])
+def direction(machine: Machine, axis: int) -> Fixed:
+    """Unit vector of an axis, by its number, in machine coordinates at zero [-]."""
+    if machine.directions:
+        given = np.asarray(machine.directions[axis], dtype=float)
+        x, y, z = (float(c) for c in given / np.linalg.norm(given))
+        return x, y, z
+    return UNITS["XYZ"["XYZABC".index(machine.names[axis]) % 3]]
+
+
+def sides(machine: Machine) -> tuple[list[int], list[int]]:
+    """Numbers of the axes under the part and over the tool, those next to the bed last."""
+    table, _, head = machine.chain.partition(" b ")
+    number = machine.names.index
+    return (
+        [number(name) for name in table.split()[1:]],
+        [number(name) for name in reversed(head.split()[:-1])],
+    )
+
+
+def rotary_order(machine: Machine) -> tuple[int, int]:
+    """Numbers of the rotary axis next to the part and of the one next to the tool."""
+    table, head = sides(machine)
+    first, second = (axis for axis in (*table, *reversed(head)) if axis > 2)
+    return first, second
 
 
 def forward(
@@ -34,20 +69,38 @@ def forward(
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     r"""Tip and axis of the tool on the part, for given axis positions.
 
-    $P = R_z(-C)\,[R_x(-A)(X - T_A) - T_C]$ and $u = R_z(-C) R_x(-A) e_z$.
-
     Args:
-        axes: Axis positions $X, Y, Z$ [mm], $A, C$ [rad].
-        machine: The machine, for its pivots.
+        axes: Positions of the linear [mm] and rotary axes [rad], as `machine.names`.
+        machine: The machine.
 
     Returns:
         Tool tip [mm] and unit tool axis [-], in the part frame.
 
     Source: Own derivation.
     """
-    tilt, turn = about_x(-axes[3]), about_z(-axes[4])
-    tip = turn @ (tilt @ (axes[:3] - machine.tilt_pivot) - machine.turn_pivot)
-    return tip, turn @ tilt[:, 2]
+    table, head = sides(machine)
+    one = jnp.ones_like(axes[0])
+    tip: Triple = [jnp.zeros_like(one)] * 3
+    way: Triple = [c * one for c in SPINDLE]
+    for axis in head:
+        along = direction(machine, axis)
+        if axis > 2:
+            tip = _about(machine, axis, axes[axis], tip)
+            way = _turned(along, axes[axis], way)
+        else:
+            tip = _add(tip, [c * axes[axis] for c in along])
+    for axis in reversed(table):
+        along = direction(machine, axis)
+        if axis > 2:
+            tip = _about(machine, axis, -axes[axis], tip)
+            way = _turned(along, -axes[axis], way)
+        else:
+            tip = _add(tip, [c * axes[axis] for c in along])
+    tip = _add(tip, _origin(machine), -1.0)
+    back = list(zip(reversed(UNITS.values()), machine.wedge[::-1], strict=True))
+    for about, angle in back:
+        tip, way = _turned(about, -angle, tip), _turned(about, -angle, way)
+    return jnp.stack(tip), jnp.stack(way)
 
 
 def inverse(
@@ -55,103 +108,300 @@ def inverse(
     axis: Float[Array, "3"],
     machine: Machine,
     near: Float[Array, "5"] | None = None,
-    branch: int = 0,
+    branch: int | None = None,
 ) -> Float[Array, "5"]:
     r"""Axis positions that bring the tool onto a pose of the part [mm, rad].
 
-    $C = \mathrm{atan2}(i, j)$, $A = \mathrm{atan2}(\sqrt{i^2 + j^2}, k)$ and
-    $X = T_A + R_x(A)[T_C + R_z(C) P]$. At the pole ($i = j = 0$) any C will do: it is that
-    of `near`, or 0, and $A$ and $C$ have zero gradient there. Near the pole the gradient
-    of $C$ grows as $1/\sin A$: that is the machine, not the formula.
+    At the pole any angle of the rotary axis next to the part will do: it is that of
+    `near`, or 0, and both rotary axes have zero gradient there. Near the pole the gradient
+    grows as one over the distance from it: that is the machine, not the formula. An
+    orientation out of reach (see `reach`) gives the nearest one.
 
     Args:
-        tip: Tool tip on the part, $P$ [mm].
-        axis: Unit tool axis on the part, from the tip into the spindle, $(i, j, k)$ [-].
-        machine: The machine, for its pivots.
-        near: Axis positions the machine comes from: C is then the equal angle nearest to
-            theirs, so that it does not unwind by whole turns.
-        branch: 0 for $A \ge 0$; 1 for the other solution, $(-A, C + \pi)$.
+        tip: Tool tip on the part [mm].
+        axis: Unit tool axis on the part, from the tip into the spindle [-].
+        machine: The machine.
+        near: Axis positions the machine comes from: rotary axes then stand at the equal
+            angle nearest to theirs. Without it, at the one nearest to the middle of their
+            travel, or to zero where that is unlimited.
+        branch: 0 for the larger angle of the rotary axis next to the tool, 1 for the
+            smaller one; the machine's own if not given.
 
     Returns:
-        $X, Y, Z$ [mm], $A, C$ [rad].
+        Positions of the linear and rotary axes, as `machine.names`.
 
     Source: Own derivation.
     """
-    tilt, turn, pole = _rotary(axis, branch)
-    if near is not None:
-        turn = jnp.where(pole, near[4], turn)
-        turn = turn - 2.0 * jnp.pi * _turns(turn - near[4])
-    return _axes(tip, tilt, turn, machine)
+    order = rotary_order(machine)
+    turned, pole = rotary(axis, machine, branch)
+    middle = _middle(machine) if near is None else jax.lax.stop_gradient(near)
+    angles = []
+    for number, angle, at in zip(order, turned, (pole, False), strict=True):
+        held = 0.0 * angle if near is None else near[number]
+        angle = jnp.where(at, held, angle)
+        angles.append(angle - 2.0 * jnp.pi * turns(angle - middle[number]))
+    return positions(tip, (angles[0], angles[1]), machine)
 
 
 def inverse_path(
     tips: Float[Array, "n 3"],
     axes: Float[Array, "n 3"],
     machine: Machine,
-    branch: int = 0,
+    branch: int | None = None,
 ) -> Float[Array, "n 5"]:
-    """Axis positions along a path, with C continuous [mm, rad].
+    """Axis positions along a path, with rotary axes continuous [mm, rad].
 
-    As `inverse`, but C never jumps by whole turns from one sample to the next, and holds
-    its last angle on samples at the pole (a path that begins there waits at the first
-    angle it will need). A path that crosses the pole still turns C by up to half a turn
-    between two samples, because `branch` is kept.
+    As `inverse`, but rotary axes never jump by whole turns from one sample to the next,
+    and hold their last angle on samples at the pole (a path that begins there waits at the
+    first angle it will need). A path that crosses the pole still turns the axis next to
+    the part by up to half a turn between two samples, because the branch is kept: `route`
+    chooses it.
 
     Args:
         tips: Tool tips on the part [mm].
         axes: Unit tool axes on the part [-].
-        machine: The machine, for its pivots.
-        branch: 0 for A >= 0, 1 for A <= 0.
+        machine: The machine.
+        branch: As in `inverse`.
 
     Returns:
-        One row of X, Y, Z [mm], A, C [rad] a sample.
+        One row of positions a sample, as `machine.names`.
 
     Source: Own derivation.
     """
-    tilt, turn, pole = jax.vmap(lambda axis: _rotary(axis, branch))(axes)
-    turn = turn[_held(pole)]
-    whole = jnp.cumsum(_turns(jnp.diff(turn)))
-    turn = turn - 2.0 * jnp.pi * jnp.pad(whole, (1, 0))
-    return jax.vmap(lambda tip, a, c: _axes(tip, a, c, machine))(tips, tilt, turn)
+    (first, second), pole = jax.vmap(lambda axis: rotary(axis, machine, branch))(axes)
+    order, middle = rotary_order(machine), _middle(machine)
+    angles = [
+        unwound(angle, middle[number])
+        for angle, number in zip((first[held(pole)], second), order, strict=True)
+    ]
+    return jax.vmap(lambda tip, a, b: positions(tip, (a, b), machine))(tips, *angles)
 
 
-def _rotary(axis: Float[Array, "3"], branch: int) -> tuple[Scalar, Scalar, Bool[Array, ""]]:
-    """A and C for a tool axis, and whether it lies at the pole (where C is 0)."""
-    i, j, k = axis
-    square = i * i + j * j
+def rotary(
+    axis: Float[Array, "3"], machine: Machine, branch: int | None = None
+) -> tuple[tuple[Scalar, Scalar], Bool[Array, ""]]:
+    r"""Angles of both rotary axes, next to the part first, and whether at the pole [rad].
+
+    With $c = e_1 \cdot e_2$, $p = e_2 \cdot e_z$, $k = e_1 \cdot v$, and $\gamma$ the root
+    of their Gram determinant $1 - c^2 - p^2 - k^2 + 2 c p k$, the two solutions are
+    $\varphi_2 = \delta \pm \mathrm{atan2}(\gamma, k - c p)$, where
+    $\delta = \mathrm{atan2}(e_1 \cdot e_2 \times e_z,\ e_1 \cdot e_z - c p)$.
+
+    Args:
+        axis: Unit tool axis on the part [-].
+        machine: The machine.
+        branch: As in `inverse`.
+
+    Source: Own derivation; the second of Paden's subproblems.
+    """
+    branch = machine.branch if branch is None else branch
+    (one, two), signs = _pair(machine)
+    c, p = _constants(one, two)
+    v = _placed_axis(axis, machine)
+    k, square, gram = _gram(v, one, c, p)
     pole = square <= jnp.finfo(square.dtype).tiny
     # double where: neither the root nor atan2 sees the corner, even when differentiated
-    sine = jnp.where(pole, 0.0, jnp.sqrt(jnp.where(pole, 1.0, square)))
-    tilt = jnp.where(pole, jnp.where(k < 0.0, jnp.pi, 0.0), jnp.arctan2(sine, k))
-    turn = jnp.arctan2(jnp.where(pole, 0.0, i), jnp.where(pole, 1.0, j))
-    return (-tilt, turn + jnp.pi, pole) if branch else (tilt, turn, pole)
+    edge = pole | (gram <= 0.0)
+    root = jnp.where(edge, 0.0, jnp.sqrt(jnp.where(edge, 1.0, gram)))
+    lean = jnp.where(edge, jax.lax.stop_gradient(k), k) - c * p
+    spread = jnp.where(edge, jnp.where(lean < 0.0, jnp.pi, 0.0), jnp.arctan2(root, lean))
+    delta = float(np.arctan2(np.dot(one, np.cross(two, SPINDLE)), one[2] - c * p))
+    # the larger position of the second axis is the larger or the smaller angle
+    upper = (signs[1] > 0) == (branch == 0)
+    second = delta + spread if upper else delta - spread
+    # how far the first axis turns e_z, as the second has leant it, onto v: their angles
+    # about e_1, from the part of e_2 across it
+    at = [
+        _dot(way, v) for way in (np.subtract(two, np.multiply(c, one)), np.cross(one, two))
+    ]
+    found = jnp.arctan2(jnp.where(pole, 0.0, at[1]), jnp.where(pole, 1.0, at[0]))
+    if c == 0.0 == p:
+        leant = -np.pi / 2 if upper else np.pi / 2
+    else:
+        side = jnp.where(pole, 0.0, -root if upper else root)
+        leant = jnp.arctan2(side, jnp.where(pole, 1.0, p - c * k))
+    first = signs[0] * jnp.where(pole, 0.0, found - leant)
+    return (first, signs[1] * second), pole
 
 
-def _axes(
-    tip: Float[Array, "3"], tilt: Scalar, turn: Scalar, machine: Machine
+def reach(axis: Float[Array, "3"], machine: Machine) -> Scalar:
+    r"""How far an orientation is within reach of the rotary axes, negative if out of it.
+
+    The Gram determinant of `rotary`: the square of the pole's distance where the rotary
+    axes are orthogonal to each other and the second one to the spindle [-].
+    """
+    one, two = _pair(machine)[0]
+    return _gram(_placed_axis(axis, machine), one, *_constants(one, two))[2]
+
+
+def pole_distance(axis: Float[Array, "3"], machine: Machine) -> Scalar:
+    """Sine of the angle between a tool axis and the pole; not for differentiation [-]."""
+    (one, _), _ = _pair(machine)
+    across = _cross(one, _placed_axis(jax.lax.stop_gradient(axis), machine))
+    return jnp.sqrt(_scalar(across, across))
+
+
+def positions(
+    tip: Float[Array, "3"], angles: tuple[Scalar, Scalar], machine: Machine
 ) -> Float[Array, "5"]:
-    """All five axes, once the rotary ones are chosen."""
-    # the products with `about_z` and `about_x`, written out: far less to differentiate
-    x, y = _rotated(turn, tip[0], tip[1])
-    x, y, z = jnp.stack([x, y, tip[2]]) + machine.turn_pivot
-    y, z = _rotated(tilt, y, z)
-    linear = jnp.stack([x, y, z]) + machine.tilt_pivot
-    return jnp.concatenate([linear, jnp.stack([tilt, turn])])
+    """All five axes, once the rotary ones are chosen (next to the part first)."""
+    table, head = sides(machine)
+    turned = dict(zip(rotary_order(machine), angles, strict=True))
+    at: Triple = list(tip)
+    for about, angle in zip(UNITS.values(), machine.wedge, strict=True):
+        at = _turned(about, angle, at)
+    at = _add(at, _origin(machine))
+    ways: dict[int, Triple] = {}
+    for axis in table:
+        at, ways = _carried(machine, axis, turned, at, ways)
+    tip_at: Triple = [jnp.zeros_like(at[0])] * 3
+    over: dict[int, Triple] = {}
+    for axis in head:
+        tip_at, over = _carried(machine, axis, turned, tip_at, over)
+    ways = ways | over
+    linear = _solve([ways[i] for i in range(3)], _add(at, tip_at, -1.0))
+    first, second = sorted(turned)
+    return jnp.stack([*linear, turned[first], turned[second]])
 
 
-def _rotated(angle: Scalar, first: Scalar, second: Scalar) -> tuple[Scalar, Scalar]:
-    """Two coordinates, turned from the first axis towards the second."""
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    return c * first - s * second, s * first + c * second
-
-
-def _turns(angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def turns(angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Whole turns in an angle, a constant as far as gradients are concerned."""
     return jax.lax.stop_gradient(jnp.round(angle / (2.0 * jnp.pi)))
 
 
-def _held(pole: Bool[Array, " n"]) -> Int[Array, " n"]:
+def unwound(angle: Float[Array, " n"], middle: Scalar) -> Float[Array, " n"]:
+    """Equal angles without jumps by whole turns, the first one nearest to `middle`."""
+    whole = jnp.cumsum(turns(jnp.diff(angle)))
+    start = turns(angle[0] - middle)
+    return angle - 2.0 * jnp.pi * (start + jnp.pad(whole, (1, 0)))
+
+
+def held(pole: Bool[Array, " n"]) -> Int[Array, " n"]:
     """For every sample, the last one not at the pole (or, before any, the first one)."""
     index = jnp.arange(pole.size)
     last = jax.lax.cummax(jnp.where(pole, -1, index))
     return jnp.where(last < 0, jnp.argmin(pole), last)
+
+
+def _pair(machine: Machine) -> tuple[tuple[Fixed, Fixed], tuple[float, float]]:
+    """Directions of both rotary axes, next to the part first, and signs of their angles."""
+    table, _ = sides(machine)
+    one, two = rotary_order(machine)
+    signs = [-1.0 if axis in table else 1.0 for axis in (one, two)]
+    return (direction(machine, one), direction(machine, two)), (signs[0], signs[1])
+
+
+def _constants(one: Fixed, two: Fixed) -> tuple[float, float]:
+    """Cosines between both rotary axes, and between the second one and the spindle."""
+    return float(np.dot(one, two)), two[2]
+
+
+def _gram(v: Triple, one: Fixed, c: float, p: float) -> tuple[Scalar, Scalar, Scalar]:
+    """Of `rotary`: k, the square of the sine to it, and the Gram determinant."""
+    k = _dot(one, v)
+    across = _cross(one, v)
+    square = _scalar(across, across)
+    if c == 0.0 == p:
+        return k, square, square
+    # c - k p, without a difference of nearly equal numbers at the pole
+    up = (c - p) + p * square / (1.0 + jnp.abs(k))
+    down = (c + p) - p * square / (1.0 + jnp.abs(k))
+    return k, square, square * (1.0 - p**2) - jnp.where(k < 0.0, down, up) ** 2
+
+
+def _placed_axis(axis: Float[Array, "3"], machine: Machine) -> Triple:
+    """The tool axis as the wedge under the part turns it."""
+    way: Triple = list(axis)
+    for about, angle in zip(UNITS.values(), machine.wedge, strict=True):
+        way = _turned(about, angle, way)
+    return way
+
+
+def _middle(machine: Machine) -> Float[Array, "5"]:
+    """Middle of each travel, zero where it is unlimited."""
+    limited = jnp.isfinite(machine.lower) & jnp.isfinite(machine.upper)
+    ends = [jnp.where(limited, end, 0.0) for end in (machine.lower, machine.upper)]
+    return jax.lax.stop_gradient(0.5 * (ends[0] + ends[1]))
+
+
+def _origin(machine: Machine) -> Triple:
+    """Origin of the part in machine coordinates, all axes at zero."""
+    table = [axis for axis in sides(machine)[0] if axis > 2]
+    return list(machine.offset + machine.pivots[table[0] - 3] if table else machine.offset)
+
+
+def _carried(machine: Machine, axis: int, turned, at, ways):
+    """What an axis carries, moved on by it: a place, and directions of linear axes.
+
+    A linear axis only adds its direction: how far it moves is still unknown.
+    """
+    if axis < 3:
+        return at, ways | {axis: direction(machine, axis)}
+    along, angle = direction(machine, axis), turned[axis]
+    ways = {k: _turned(along, angle, list(way)) for k, way in ways.items()}
+    return _about(machine, axis, angle, at), ways
+
+
+def _solve(ways: Sequence[Triple], right: Triple) -> Triple:
+    """The x with the sum of x_i ways_i = right."""
+    if all(isinstance(c, float) for way in ways for c in way):
+        inverse = np.linalg.inv(np.asarray(ways, dtype=float).T)
+        return [_dot(row, right) for row in inverse]
+    one, two, three = ([jnp.asarray(c) for c in way] for way in ways)
+    over = [_crossed(two, three), _crossed(three, one), _crossed(one, two)]
+    volume = _scalar(one, over[0])
+    return [_scalar(row, right) / volume for row in over]
+
+
+def _about(machine: Machine, axis: int, angle: Scalar, at: Triple) -> Triple:
+    """A place turned about a rotary axis."""
+    pivot = list(machine.pivots[axis - 3])
+    return _add(_turned(direction(machine, axis), angle, _add(at, pivot, -1.0)), pivot)
+
+
+def _turned(about: Fixed, angle: Scalar, v: Triple) -> Triple:
+    """A vector turned about a fixed direction."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    on = [i for i in range(3) if about[i] != 0.0]
+    if len(on) == 1:  # written out: far less to differentiate
+        i, j, k = on[0], (on[0] + 1) % 3, (on[0] + 2) % 3
+        s = s if about[i] > 0.0 else -s
+        out = list(v)
+        if all(isinstance(x, float) and x == 0.0 for x in (v[j], v[k])):
+            return out
+        out[j], out[k] = c * v[j] - s * v[k], s * v[j] + c * v[k]
+        return out
+    along = _dot(about, v)
+    aside = _cross(about, v)
+    return [c * v[i] + s * aside[i] + (1.0 - c) * along * about[i] for i in range(3)]
+
+
+def _add(a: Triple, b, sign: float = 1.0) -> Triple:
+    """Sum, or difference."""
+    return [x + y if sign > 0.0 else x - y for x, y in zip(a, b, strict=True)]
+
+
+def _dot(fixed, v: Triple) -> Scalar:
+    """Product with a fixed vector, without its zeros."""
+    total = None
+    for f, x in zip(fixed, v, strict=True):
+        if f != 0.0:
+            term = x if f == 1.0 else float(f) * x
+            total = term if total is None else total + term
+    return jnp.asarray(0.0 if total is None else total)
+
+
+def _cross(fixed: Fixed, v: Triple) -> Triple:
+    """Vector product of a fixed vector and another one."""
+    x, y, z = fixed
+    return [_dot(row, v) for row in ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))]
+
+
+def _crossed(a: Triple, b: Triple) -> Triple:
+    """Vector product."""
+    return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
+
+
+def _scalar(a: Triple, b: Triple) -> Scalar:
+    """Scalar product."""
+    return jnp.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])

@@ -34,7 +34,7 @@ class Limits(eqx.Module):
     @classmethod
     def of(cls, machine: Machine) -> "Limits":
         """The limits of a machine's own axes."""
-        return cls(speed=machine.max_speed, acceleration=machine.max_acceleration)
+        return cls(machine.max_speed, machine.max_acceleration, machine.names)
 
 
 def sweep(
