@@ -19,7 +19,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .machine.kinematics import forward, inverse
+from .machine.kinematics import (
+    forward,
+    pole_distance,
+    positions,
+    rotary,
+    rotary_order,
+    turns,
+)
 from .parts import Machine, Process
 from .path.toolpath import resolved
 from .resolved import Run
@@ -31,6 +38,9 @@ from .stored import stored
 AT_ONCE = 4096
 # Share of the tolerance that moves aim at; the rest is for rounding to printed digits.
 AIM = 0.95
+# Angle to the pole within which the path's rotary axis next to the part may hold still,
+# and then does so between its samples too [rad].
+HELD = 1e-5
 # Guide length below which a move is no longer halved [mm].
 SHORTEST = 1e-6
 # Places in every move at which it is compared with the path, beside the samples in it.
@@ -218,12 +228,28 @@ def _placed(s, near, machine, given, lean):
     surface, guide, process, radius = given
     posture = resolved(surface, guide, process, radius, s, *lean)
 
-    def positions(tip, axis, near):
-        found = [inverse(tip, axis, machine, near, branch) for branch in (0, 1)]
-        turn = [jnp.sum((one - near)[3:] ** 2) for one in found]
-        return jnp.where(turn[0] <= turn[1], *found)
+    one, two = rotary_order(machine)
 
-    return posture.tip, posture.axis, jax.vmap(positions)(posture.tip, posture.axis, near)
+    def axes_at(tip, axis, near):
+        """As `route` has them at the samples: on its branch, and held at the pole."""
+        pole = pole_distance(axis, machine) <= HELD
+        both = []
+        for branch in (0, 1):
+            (first, second), _ = rotary(axis, machine, branch)
+            first = jnp.where(pole, near[one], first)
+            both.append(
+                jnp.stack(
+                    [
+                        angle - 2 * jnp.pi * turns(angle - near[number])
+                        for angle, number in ((first, one), (second, two))
+                    ]
+                )
+            )
+        off = [jnp.sum((angles - near[jnp.array([one, two])]) ** 2) for angles in both]
+        first, second = jnp.where(off[0] <= off[1], *both)
+        return positions(tip, (first, second), machine)
+
+    return posture.tip, posture.axis, jax.vmap(axes_at)(posture.tip, posture.axis, near)
 
 
 @stored

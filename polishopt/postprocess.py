@@ -23,7 +23,7 @@ from .files.programmed import Program
 from .files.quantity import internal
 from .files.schema import StepConfig
 from .parts import Machine, Process
-from .preflight import Finding, axis_names, beyond, obstacles, remarks, travel
+from .preflight import Finding, beyond, obstacles, remarks
 from .resolved import Run, run, samples
 from .setup import Setup
 from .stored import stored
@@ -133,7 +133,7 @@ def _written(
     names = tuple(stem + one.ending for one in DIALECTS.values())
     if look.printed is None:
         return Programs(tuple(look.findings), {}, names)
-    letters = axis_names(setup.machine)
+    letters = setup.machine.names
     header = Header(
         name=stem,
         number=1000 + step,
@@ -195,7 +195,7 @@ def moves(
         machine: The machine.
         asked: The config's section, in mm and s.
     """
-    clearance, low_high = asked["clearance"], travel(machine)
+    clearance = asked["clearance"]
     ends = blocks.poses[np.array([0, -1])]
     away = ends.axes.copy()
     away[:, :3] += np.stack(
@@ -215,8 +215,8 @@ def moves(
     slow = clearance / asked["approach_feed"]
     step = np.diff(blocks.time) * float(process.passes) / passes
     seconds = np.concatenate([[np.nan, slow], step, [slow]])
-    unlimited = np.isinf(low_high[0]) & np.isinf(low_high[1]) & (np.arange(5) > 2)
-    turns = np.round((axes[-1] - axes[0]) / (2 * np.pi)) * 2 * np.pi * unlimited
+    free = np.isinf(machine.lower) & np.isinf(machine.upper) & (np.arange(5) > 2)
+    turns = np.round((axes[-1] - axes[0]) / (2 * np.pi)) * 2 * np.pi * free
     axes = np.concatenate([axes + k * turns for k in range(passes)])
     tip, axis = np.tile(tip, (passes, 1)), np.tile(axis, (passes, 1))
     seconds = np.tile(seconds, passes)
@@ -260,7 +260,7 @@ def _notes(process: Process, setup: Setup, config: StepConfig, duration: float):
     """What people should know of a program: a word, and what it is."""
     part, tool, abrasive = config.part, config.tool, config.abrasive
     sides = " x ".join(f"{side:g}" for side in part.size_mm)
-    letters = axis_names(setup.machine)
+    letters = setup.machine.names
     yield "title", config.title or "untitled"
     yield "written by", f"polishopt {version('polishopt')}"
     yield "units", "mm, deg, mm/min"

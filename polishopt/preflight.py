@@ -10,19 +10,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .blocks import chunks, poses_of
 from .machine.feed import limiting_name
-from .machine.kinematics import forward
-from .parts import AXES, Machine, Process
+from .machine.kinematics import pole_distance, rotary_order
+from .machine.route import standing
+from .parts import Machine, Process
 from .resolved import Run
 from .stored import stored
 
 
-# A pose counts as reached within this share of its size [-].
-ALIGNED = 1e-6
+# An orientation counts as reached within this angle [rad].
+ALIGNED = 1e-4
 # A position counts as beyond a travel, and an axis as moving, from here on [mm or rad].
 BEYOND = 1e-6
 # Angle to the pole from which on a fast turn is put down to it [rad].
@@ -39,18 +39,6 @@ class Finding:
     """Whether the path cannot be run for it."""
 
 
-def axis_names(machine: Machine) -> tuple[str, ...]:
-    """What people call the axes, the linear ones first."""
-    return tuple(getattr(machine, "names", AXES))
-
-
-def travel(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
-    """Where the travel of each axis ends below and above; infinite for no limit."""
-    free = np.full(5, np.inf)
-    lower, upper = getattr(machine, "lower", -free), getattr(machine, "upper", free)
-    return np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
-
-
 def position(value: float, axis: int) -> str:
     """A position of an axis, by its number, as people write it."""
     return f"{np.degrees(value):.4g}°" if axis > 2 else f"{value:.5g} mm"
@@ -63,32 +51,28 @@ def obstacles(path: Run, machine: Machine) -> list[Finding]:
         path: From `resolved.run`.
         machine: The machine.
     """
-    axes, names = np.asarray(path.axes), axis_names(machine)
-    wanted, speed = np.asarray(path.posture.axis), np.asarray(machine.max_speed)
+    axes, names = np.asarray(path.axes), machine.names
+    wanted = np.asarray(path.posture.axis)
 
     def at(sample: int) -> str:
         place = ", ".join(f"{x:.3f}" for x in np.asarray(path.posture.contact)[sample])
         return f"at sample {sample + 1} of {axes.shape[0]}, ({place}) mm on the part"
 
     _, axis = poses_of(axes, machine)
-    missed = np.flatnonzero(~(np.linalg.norm(axis - wanted, axis=1) <= ALIGNED))
-    if missed.size:
-        way = ", ".join(f"{x:.5f}" for x in wanted[missed[0]])
+    missed = ~(np.linalg.norm(axis - wanted, axis=1) <= ALIGNED)
+    if missed.any():
+        first = int(np.argmax(missed))
+        way = ", ".join(f"{x:.5f}" for x in wanted[first])
         return [
             Finding(
                 f"{names[3]} and {names[4]} cannot point the tool along ({way}), as asked "
-                f"{at(missed[0])}.",
+                f"{at(first)}.",
                 prevents=True,
             )
         ]
     found = beyond(axes, machine, at)
-    for i in np.flatnonzero(~(speed > 0)).tolist():
-        moved = np.flatnonzero(np.abs(axes[:, i] - axes[0, i]) > BEYOND)
-        if moved.size:
-            found.append(
-                f"{names[i]} would have to leave {position(axes[0, i], i)} {at(moved[0])}, "
-                "but its speed limit is 0."
-            )
+    still = [fault.sentence for fault in standing(axes, machine)]
+    found += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in still]
     time = np.asarray(path.law.time)
     if not found and not np.isfinite(time[-1]):
         stuck = int(np.argmax(~np.isfinite(time)))
@@ -105,8 +89,10 @@ def beyond(axes: np.ndarray, machine: Machine, at: Callable[[int], str]) -> list
         machine: The machine.
         at: Where a row lies, in words.
     """
-    found, names = [], axis_names(machine)
-    for i, (low, high) in enumerate(zip(*travel(machine), strict=True)):
+    found, names = [], machine.names
+    for i, (low, high) in enumerate(
+        zip(machine.lower.tolist(), machine.upper.tolist(), strict=True)
+    ):
         over = np.maximum(low - axes[:, i], axes[:, i] - high)
         if over.max() > BEYOND:
             worst, first = int(np.argmax(over)), int(np.argmax(over > BEYOND))
@@ -142,7 +128,7 @@ def _duration(path: Run, process: Process, machine: Machine) -> str:
     worst = int(np.argmax(spent))
     lost = total - float(arc[-1]) / feed
     if lost > 1e-3 * total:
-        name = limiting_name(worst, axis_names(machine))
+        name = limiting_name(worst, machine.names)
         sentence += f", {lost:.3g} s of it lost to the axes, most to {name}"
     if passes != 1.0:
         sentence += f"; {passes:.6g} passes take {passes * total / 60:.2f} min"
@@ -151,7 +137,7 @@ def _duration(path: Run, process: Process, machine: Machine) -> str:
 
 def _turning(path: Run, machine: Machine, i: int) -> str:
     """How hard a rotary axis works."""
-    name, axes = axis_names(machine)[i], np.asarray(path.axes)[:, i]
+    name, axes = machine.names[i], np.asarray(path.axes)[:, i]
     step = np.diff(np.asarray(path.law.time))
     limit = float(np.asarray(machine.max_speed)[i])
     speed = np.abs(np.diff(axes)) / np.where(step > 0, step, np.inf)
@@ -164,7 +150,7 @@ def _turning(path: Run, machine: Machine, i: int) -> str:
     if np.isfinite(limit):
         sentence += f", {100 * min(speed.max() / limit, 1.0):.0f} % of its speed limit"
     code = np.asarray(path.law.limiting)[1:]
-    limits = [limiting_name(c, axis_names(machine)) for c in range(code.max() + 1)]
+    limits = [limiting_name(c, machine.names) for c in range(code.max() + 1)]
     own = np.array([limit.split()[0] == name for limit in limits])
     share = float(step[own[code]].sum() / step.sum())
     if share > 0:
@@ -175,9 +161,9 @@ def _turning(path: Run, machine: Machine, i: int) -> str:
 def _pole(path: Run, process: Process, machine: Machine) -> str:
     """How near the tool axis comes to the direction of the rotary axis next to the part."""
     axes, arc = np.asarray(path.axes), np.asarray(path.arc)
-    angle, which = chunks(lambda axes: _pole_angle(axes, machine), axes)
-    i = 3 + int(which[np.argmin(angle)])
-    name = axis_names(machine)[i]
+    (sine,) = chunks(lambda ways: _pole_sine(ways, machine), np.asarray(path.posture.axis))
+    angle, i = np.arcsin(np.minimum(sine, 1.0)), rotary_order(machine)[0]
+    name = machine.names[i]
     nearest = int(np.argmin(angle))
     within = f"{np.degrees(angle[nearest]):.3g}°"
     chord, turn = np.diff(arc), np.abs(np.diff(axes[:, i]))
@@ -198,13 +184,6 @@ def _pole(path: Run, process: Process, machine: Machine) -> str:
 
 
 @stored
-def _pole_angle(axes, machine):
-    """Angle of each tool axis to the pole [rad], and which rotary axis points there."""
-
-    def one(q):
-        slopes = jax.jacfwd(lambda q: forward(q, machine)[1])(q)[:, 3:]
-        reach = jnp.sum(slopes**2, axis=0)
-        return jnp.sqrt(jnp.min(reach)), jnp.argmin(reach)
-
-    sine, which = jax.vmap(one)(axes)
-    return jnp.arcsin(jnp.minimum(sine, 1.0)), which
+def _pole_sine(ways, machine):
+    """Sine of the angle between each tool axis and the pole."""
+    return (jax.vmap(lambda way: pole_distance(way, machine))(ways),)
