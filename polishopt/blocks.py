@@ -8,8 +8,8 @@ rim alike, may stray from its true place by more than the tolerance in any of th
 The deviation of a short move grows with the square of its length. So it is measured on
 the samples, moves of the lengths that this suggests are laid along the path, and those
 that still stray are halved. Poses at their ends are those of the path itself, not
-interpolated. Where the tool axis jumps (at a sharp corner it leans along) no cut helps,
-and the jump stays a move of its own.
+interpolated. Where the path jumps (at a sharp corner that the tool axis leans along) the
+jump is a move of its own.
 """
 
 from collections.abc import Callable
@@ -43,6 +43,8 @@ AIM = 0.95
 HELD = 1e-5
 # Guide length below which a move is no longer halved [mm].
 SHORTEST = 1e-6
+# A move as many times longer than its share of the path is one over a jump.
+JUMP = 100.0
 # Places in every move at which it is compared with the path, beside the samples in it.
 LOOKED_AT = (0.25, 0.5, 0.75)
 
@@ -73,9 +75,9 @@ class Blocks:
     time: np.ndarray
     """Time since the start of the pass [s]."""
     deviation: float
-    """How far any point of the disc's face strays, jumps apart [mm]."""
+    """How far any point of the disc's face strays [mm]."""
     jumps: int
-    """Moves that stray further because the tool axis jumps there."""
+    """Moves over a place where the path jumps."""
 
 
 def cut(path: Run, process: Process, setup: Setup, tolerance: float) -> Blocks:
@@ -136,7 +138,9 @@ def cut(path: Run, process: Process, setup: Setup, tolerance: float) -> Blocks:
                 for a, b in zip(_rows(poses), _rows(extra), strict=True)
             )
         )
-    short = ~long & (worst > AIM * tolerance)
+    moved = np.linalg.norm(np.diff(poses.tip, axis=0), axis=1)
+    usual = moved.sum() / (knots[-1] - knots[0])
+    jumps = (moved > tolerance) & (moved > JUMP * usual * np.diff(knots))
     # np.interp cannot know that a jump takes time: an axis's own speed says so
     time = np.diff(np.interp(knots, s, np.asarray(path.law.time)))
     speed = np.asarray(machine.max_speed)
@@ -146,8 +150,8 @@ def cut(path: Run, process: Process, setup: Setup, tolerance: float) -> Blocks:
         poses=poses,
         s=knots,
         time=np.concatenate([[0.0], np.cumsum(time)]),
-        deviation=float(worst[~short].max(initial=0.0)),
-        jumps=int(short.sum()),
+        deviation=float(worst.max(initial=0.0)),
+        jumps=int(jumps.sum()),
     )
 
 

@@ -252,7 +252,7 @@ def _lines(blocks: Blocks, motion: Motion) -> str:
     )
     if blocks.jumps:
         times = "once" if blocks.jumps == 1 else f"{blocks.jumps} times"
-        sentence += f", but {times} the tool axis jumps, at a sharp corner of the guide"
+        sentence += f"; the path jumps {times}, at sharp corners of the guide"
     return sentence + "."
 
 
