@@ -160,7 +160,7 @@ def spread_of(process: Process, job: Job) -> Spread | None:
 
 _run = stored(resolved.run)
 _sensitivities = stored(sensitivities)
-_spread = stored(spread, quick=True)
+_spread = stored(spread)
 
 
 @stored

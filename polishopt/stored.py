@@ -30,7 +30,8 @@ from jax.experimental import serialize_executable
 
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
 CPU_INFO = Path("/proc/cpuinfo")
-# what XLA is told so that it compiles fast rather than makes fast code
+# What XLA is told so that it compiles fast rather than makes fast code: a search spends a
+# third of the time on compilation then, and as long as before on its work.
 PLAIN = {
     "xla_backend_optimization_level": 1,
     "xla_llvm_disable_expensive_passes": True,
@@ -41,7 +42,7 @@ Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
 _folder: Path | None = None
-_made: dict[tuple[Callable[..., Any], bool], "_Stored"] = {}
+_made: dict[Callable[..., Any], "_Stored"] = {}
 
 
 def keep_in(folder: Path | None) -> None:
@@ -55,34 +56,35 @@ def keep_in(folder: Path | None) -> None:
     _folder = folder
 
 
-def stored(f: Callable[Given, Result], quick: bool = False) -> Callable[Given, Result]:
+def stored(f: Callable[Given, Result]) -> Callable[Given, Result]:
     """A function compiled as by `equinox.filter_jit`, but once for many runs.
 
     Inside another transformation, where nothing is kept, and for functions without a name
-    of their own, it is `filter_jit` and nothing else.
+    of their own, it is nothing more than `filter_jit`.
 
     Args:
         f: A function of a module of this package. What it does may depend on nothing but
             its arguments and the source of the package.
-        quick: Whether to compile into plain code: sooner done, for what runs once.
     """
-    return _made.setdefault((f, quick), _Stored(f, PLAIN if quick else {}))
+    return _made.setdefault(f, _Stored(f))
 
 
 class _Stored:
     """A function with the programs that were made of it, by structure and shapes."""
 
-    def __init__(self, f: Callable[..., Any], options: dict[str, Any]):
+    def __init__(self, f: Callable[..., Any]):
         jit: Any = eqx.filter_jit
-        self.f, self.options = f, options
-        self.jitted = jit(f, compiler_options=options) if options else jit(f)
+        self.f = f
+        # options are for the outermost program only
+        self.inside, self.jitted = jit(f), jit(f, compiler_options=PLAIN)
         self.programs: dict[str, Callable[..., Any]] = {}
         self.lock = threading.Lock()
         functools.update_wrapper(self, f)
 
     def __call__(self, *args, **kwargs):
-        leaves = jax.tree.leaves((args, kwargs))
-        if _folder is None or any(isinstance(leaf, Tracer) for leaf in leaves):
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((args, kwargs))):
+            return self.inside(*args, **kwargs)
+        if _folder is None:
             return self.jitted(*args, **kwargs)
         arrays, fixed = eqx.partition((args, kwargs), _is_array)
         arrays, structure = jax.tree.flatten(arrays)
@@ -110,25 +112,23 @@ class _Stored:
         if "<" in name:
             raise TypeError("A lambda or a function within another has no name.")
         kinds = [(a.shape, str(a.dtype), getattr(a, "weak_type", False)) for a in arrays]
-        made = _canonical((fixed, kinds, sorted(self.options.items())))
+        made = _canonical((fixed, kinds))
         return f"{name}-{hashlib.sha256(made + _surroundings()).hexdigest()[:32]}"
 
     def compile(self, fixed, arrays, structure, path: Path) -> Callable[..., Any]:
-        # jitted, what others call inside their programs is traced once; options are for
-        # the outermost only
-        inner = self.f if self.options else self.jitted
         shape: list[Any] = []
 
         def flat(leaves):
+            # traced but once, also if others call it inside their programs
             args, kwargs = eqx.combine(jax.tree.unflatten(structure, leaves), fixed)
-            found, rest = eqx.partition(inner(*args, **kwargs), _is_array)
+            found, rest = eqx.partition(self.inside(*args, **kwargs), _is_array)
             shape[:] = [jax.tree.map(lambda _: 0, found), rest]
             return jax.tree.leaves(found)
 
         # by this name JAX's own cache never has it: what was read from there cannot be
         # written again
         flat.__name__ = path.name
-        program = jax.jit(flat, compiler_options=self.options or None)
+        program = jax.jit(flat, compiler_options=PLAIN)
         compiled = program.lower(arrays).compile()
         # a cache must not fail: what cannot be kept is compiled again next time
         with suppress(Exception):

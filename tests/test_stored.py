@@ -142,13 +142,6 @@ def test_nothing_is_kept_unasked(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_quick_programs_are_kept_too(kept):
-    stored(along, quick=True)(LINE, X)
-    again()
-    np.testing.assert_array_equal(stored(along, quick=True)(LINE, X).value, [0, 2, 4])
-    assert traced == []
-
-
 def test_linear_algebra_in_a_new_process(kept):
     """Where LAPACK was not called before, a program that was read must find it."""
     stored(apart)(jnp.asarray(2.0))

@@ -7,7 +7,6 @@ correlations.
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import equinox as eqx
 import jax
@@ -143,7 +142,7 @@ def plan_spread(
     return tuple(Spread(tuple(outcomes), tuple(uncertain), errors, rows) for rows in slopes)
 
 
-@partial(stored, quick=True)
+@stored
 def _plan_slopes(values, processes, plan: Plan, places, outcomes, chain):
     """Derivatives `[step, outcome, constant]` of the outcomes by all constants."""
 
