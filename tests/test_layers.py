@@ -12,7 +12,8 @@ import pytest
 FLOORS = """
 units stored parts
 path.surface path.corner path.guide path.trochoid path.toolpath path
-machine.kinematics machine.route machine.sweep machine.feed machine.exact machine.loop machine
+machine.kinematics machine.route machine.sweep machine.feed machine.exact machine.loop
+machine
 contact.pressure contact.removal contact.ripple contact
 texture.filters texture.areal texture.hybrid texture.lay texture.spatial texture.functional
 texture.feature texture.uncertainty texture.parameters
