@@ -71,10 +71,10 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
 
     with told.status("drawing"):
         spread = results.spread_of(tuning.process, job)
-        scatter = results.write(tuning, job, loaded, target, say, spread)
+        scatter, programs = results.write(tuning, job, loaded, target, say, spread)
     say(f"results are in {target}")
-    report.show(console, tuning, job, loaded, scatter, spread)
-    return int(tuning.verdict)
+    report.show(console, tuning, job, loaded, scatter, spread, programs)
+    return int(report.ended(tuning, programs))
 
 
 def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
@@ -90,6 +90,7 @@ def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     from .optimize.tune import tune
     from .optimize.uncertainty import plan_spread
     from .plan import follow
+    from .postprocess import deliver, paths
     from .stored import stored
 
     told, console, say = _opening(loaded, quiet)
@@ -113,16 +114,20 @@ def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     else:
         with told.status(f"following {len(loaded.steps)} steps"):
             outcome = stored(follow)(job.processes, job.plan)
+    settings = job.processes if tuning is None else tuning.process
     spreads = ()
     if any(job.errors):
         with told.status("carrying the errors of the constants"):
-            settings = job.processes if tuning is None else tuning.process
             spreads = plan_spread(settings, job.plan)
+    with told.status("running the path of every step"):
+        configs = [config for _, config in loaded.steps]
+        made = paths(list(zip(settings, job.plan.setups, configs, strict=True)))
+        deliver(made, target / "program")
     with told.status("writing"):
-        plan_report.write(target, job, outcome, loaded, tuning, spreads)
+        plan_report.write(target, job, outcome, loaded, tuning, spreads, made)
     say(f"results are in {target}")
-    plan_report.show(console, job, outcome, loaded, tuning, spreads)
-    return plan_report.verdict(job, outcome, tuning)[0]
+    plan_report.show(console, job, outcome, loaded, tuning, spreads, made)
+    return plan_report.verdict(job, outcome, tuning, made)[0]
 
 
 def _opening(loaded: Loaded, quiet: bool):

@@ -18,6 +18,7 @@ from .optimize.tune import Tuning, Verdict
 from .optimize.uncertainty import Spread
 from .plan import PlanOutcome
 from .plots import save
+from .postprocess import Programs
 from .report import (
     CLOSE,
     INDEPENDENT,
@@ -27,6 +28,7 @@ from .report import (
     deviations,
     empty_table,
     missed,
+    preflight_table,
     spread_table,
 )
 from .results import spread_numbers, versions
@@ -70,13 +72,19 @@ def exceeded(job: PlanJob, outcome: PlanOutcome) -> dict[str, str]:
     return found
 
 
-def verdict(job: PlanJob, outcome: PlanOutcome, tuning: Tuning | None) -> tuple[int, str]:
+def verdict(
+    job: PlanJob,
+    outcome: PlanOutcome,
+    tuning: Tuning | None,
+    made: Sequence[Programs] = (),
+) -> tuple[int, str]:
     """Exit code, and how it ended in a sentence.
 
     Args:
         job: What was asked.
         outcome: What the steps do.
         tuning: The answer, if anything was tuned.
+        made: What the machine will make of the paths of the steps.
     """
     broken = exceeded(job, outcome)
     if tuning is not None and int(tuning.verdict) == Verdict.NOT_CONVERGED:
@@ -95,6 +103,10 @@ def verdict(job: PlanJob, outcome: PlanOutcome, tuning: Tuning | None) -> tuple[
             3,
             f"Infeasible: within the limits the target cannot be met. Missed: {listed}.",
         )
+    for name, one in zip(outcome.names, made, strict=False):
+        if one.prevented:
+            reason = f"the machine cannot run the path of {name}. {one.prevented[0]}"
+            return 3, f"Infeasible: {reason}"
     if tuning is not None:
         return 0, "Solved: the targets are met and all limits hold."
     return 0, "Nothing is tuned: the plan was run as it stands, and all limits hold."
@@ -107,6 +119,7 @@ def show(
     loaded: Loaded,
     tuning: Tuning | None,
     spreads: Sequence[Spread] = (),
+    made: Sequence[Programs] = (),
 ) -> None:
     """Prints the tables of a plan.
 
@@ -117,6 +130,7 @@ def show(
         loaded: What was asked, as typed.
         tuning: The answer, if anything was tuned.
         spreads: What the errors of the constants do to each step, if any is given.
+        made: What the machine will make of the paths of the steps.
     """
     console.print(steps_table(outcome))
     console.print(f"All steps take {float(outcome.time) / 60:.1f} min.")
@@ -152,7 +166,9 @@ def show(
                 f"{missed(tuning.misses, name, goal):+.2g}",
             )
         console.print(goals)
-    console.print(verdict(job, outcome, tuning)[1])
+    if made:
+        console.print(preflight_table(dict(zip(outcome.names, made, strict=True))))
+    console.print(verdict(job, outcome, tuning, made)[1])
 
 
 def steps_table(outcome: PlanOutcome) -> Table:
@@ -185,6 +201,7 @@ def write(
     loaded: Loaded,
     tuning: Tuning | None,
     spreads: Sequence[Spread] = (),
+    made: Sequence[Programs] = (),
 ) -> None:
     """Writes the folder of a plan: numbers, the answer as a config, and a picture.
 
@@ -195,12 +212,14 @@ def write(
         loaded: What was asked, as typed.
         tuning: The answer, if anything was tuned.
         spreads: What the errors of the constants do to each step, if any is given.
+        made: What the machine will make of the paths of the steps.
     """
     scattered = dict(zip(outcome.names, spreads, strict=False))
     heads = ["step", *(f"{name} [{unit or '1'}]" for name, (unit, _) in COLUMNS.items())]
     rows = [[n, *r] for n, r in zip(outcome.names, numbers(outcome), strict=True)]
     write_table(target / "steps.csv", heads, rows)
-    code, sentence = verdict(job, outcome, tuning)
+    code, sentence = verdict(job, outcome, tuning, made)
+    sentences = [[finding.sentence for finding in one.findings] for one in made]
     found = {} if tuning is None else answers(tuning, loaded)
     names = ("start map", "earlier scratches", "scratches", "ripple")
     search = {}
@@ -233,6 +252,7 @@ def write(
                 }
                 for name, step in zip(outcome.names, outcome.steps, strict=True)
             },
+            "preflight": dict(zip(outcome.names, sentences, strict=False)),
             "limit_excesses": all_excesses(outcome, job.limits),
             **search,
             "versions": versions(),

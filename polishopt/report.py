@@ -25,6 +25,8 @@ from .optimize.goals import Goal, Limits, band_names, reached
 from .optimize.tune import Tuning, Verdict
 from .optimize.uncertainty import Spread
 from .parts import Process, Scalar
+from .postprocess import Programs
+from .preflight import Finding
 from .units import from_internal, label, suffix
 
 
@@ -131,9 +133,18 @@ def summary(outcome: Outcome, job: Job) -> str:
     return ", ".join(shown)
 
 
-def verdict(tuning: Tuning) -> str:
+def ended(tuning: Tuning, programs: Programs | None) -> Verdict:
+    """How it ended, once it is known whether the machine can run the path."""
+    kind = Verdict(int(tuning.verdict))
+    prevented = programs is not None and programs.prevented
+    return Verdict.INFEASIBLE if kind is Verdict.SOLVED and prevented else kind
+
+
+def verdict(tuning: Tuning, programs: Programs | None = None) -> str:
     """How it ended, in a sentence that says what to do."""
     kind = Verdict(int(tuning.verdict))
+    if kind is Verdict.SOLVED and programs is not None and programs.prevented:
+        return f"Infeasible: the machine cannot run the path. {programs.prevented[0]}"
     if kind is Verdict.SOLVED:
         return "Solved: the target is met and all limits hold."
     if kind is Verdict.NOT_CONVERGED:
@@ -185,6 +196,7 @@ def show(
     loaded: Loaded,
     scatter: Scatter,
     spread: Spread | None = None,
+    programs: Programs | None = None,
 ) -> None:
     """Prints the tables of an answer.
 
@@ -195,6 +207,7 @@ def show(
         loaded: What was asked, as typed.
         scatter: How far a measurement of the texture would scatter.
         spread: What the errors of the constants do, where any is given.
+        programs: What the machine will make of the path.
     """
     console.print(_settings(tuning, loaded))
     console.print(_texture(tuning, job, scatter, spread))
@@ -210,6 +223,8 @@ def show(
     if spread is not None:
         console.print(spread_table(spread, tuning.outcome))
         console.print(INDEPENDENT)
+    if programs is not None:
+        console.print(preflight_table({"": programs}))
     count = tuning.statuses.shape[0]
     ended = int((tuning.statuses == Status.SOLVED).sum())
     work = int(tuning.evaluations.sum())
@@ -219,7 +234,7 @@ def show(
         f"Certificate: projected gradient {float(tuning.kkt):.1e}, violation "
         f"{float(tuning.violation):.1e}."
     )
-    console.print(verdict(tuning))
+    console.print(verdict(tuning, programs))
 
 
 def empty_table(title: str, *columns: str) -> Table:
@@ -227,6 +242,22 @@ def empty_table(title: str, *columns: str) -> Table:
     table = Table(title=title, title_justify="left", title_style="bold", box=None)
     for i, column in enumerate(columns):
         table.add_column(column, justify="left" if i == 0 else "right", no_wrap=True)
+    return table
+
+
+def preflight_table(made: Mapping[str, Programs]) -> Table:
+    """What the machine will make of each path, a sentence a row."""
+    table = Table(title="Pre-flight", title_justify="left", title_style="bold", box=None)
+    steps = any(made)
+    for heading in ("step", "") if steps else ("",):
+        table.add_column(heading)
+    alike: dict[tuple[Finding, ...], list[str]] = {}
+    for name, one in made.items():
+        alike.setdefault(one.findings, []).append(name)
+    for findings, names in alike.items():
+        for i, finding in enumerate(findings):
+            first = "\n".join(names) if i == 0 else ""
+            table.add_row(*((first,) if steps else ()), finding.sentence)
     return table
 
 

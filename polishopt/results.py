@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from . import plots, report, resolved
+from . import plots, postprocess, report, resolved
 from .chain import polish
 from .contact.pressure import patch
 from .files import assemble
@@ -30,7 +30,7 @@ from .optimize.sensitivity import (
     plan_sensitivities,
     sensitivities,
 )
-from .optimize.tune import Tuning, Verdict
+from .optimize.tune import Tuning
 from .optimize.uncertainty import Spread, spread
 from .parts import Abrasive, Process, Scalar
 from .setup import FINE, Setup
@@ -74,7 +74,7 @@ def write(
     target: Path,
     say: Callable[[str], None],
     spread: Spread | None = None,
-) -> report.Scatter:
+) -> tuple[report.Scatter, postprocess.Programs]:
     """Writes all results of a fit.
 
     Args:
@@ -86,7 +86,8 @@ def write(
         spread: What the errors of the constants do, where any is given.
 
     Returns:
-        How far a measured patch as large as the drawn one scatters.
+        How far a measured patch as large as the drawn one scatters, and what the machine
+        will make of the path.
     """
     numbers(tuning, job, loaded, target, spread)
     write_text(
@@ -110,6 +111,7 @@ def write(
         run = _run(process, setup, resolved.samples(process, setup))
         paint("path.png", plots.path, run, setup)
         paint("feed.png", plots.feed, run, process)
+        programmed = pool.submit(postprocess.programs, run, process, setup, loaded.config)
         fine = _fine_maps(process, setup)
         paint("removal.png", plots.removal, np.asarray(fine[0]), size)
         margin = float(setup.margin)
@@ -127,10 +129,14 @@ def write(
         say("drawing the pictures")
         for picture in painted:
             picture.result()  # raises what it raised
+        programs = programmed.result()
+        postprocess.deliver([programs], target / "program")
+    numbers(tuning, job, loaded, target, spread, programs)
     names = ("Sa", "Sq", "Ssk", "Sku")
-    return report.Scatter(
+    scatter = report.Scatter(
         float(extent[0]), dict(zip(names, np.asarray(errors).tolist(), strict=True))
     )
+    return scatter, programs
 
 
 def rehearse(job: Job) -> None:
@@ -194,6 +200,7 @@ def numbers(
     loaded: Loaded,
     target: Path,
     spread: Spread | None = None,
+    programs: postprocess.Programs | None = None,
 ) -> None:
     """`result.json`: the answer, its certificate, and where every start ended."""
     outcome = {
@@ -209,8 +216,8 @@ def numbers(
     write_json(
         target / "result.json",
         {
-            "verdict": Verdict(int(tuning.verdict)).name.lower(),
-            "sentence": report.verdict(tuning),
+            "verdict": report.ended(tuning, programs).name.lower(),
+            "sentence": report.verdict(tuning, programs),
             "units": "mm, N, s, rad, MPa",
             "answers": report.answers(tuning, loaded),
             "process": vars(tuning.process),
@@ -223,6 +230,7 @@ def numbers(
             "limit_multipliers": tuning.multipliers,
             "goal_multipliers": tuning.goal_multipliers,
             "bound_multipliers": tuning.bound_multipliers,
+            "preflight": [one.sentence for one in programs.findings] if programs else [],
             "kkt": tuning.kkt,
             "violation": tuning.violation,
             "starts": tuning.starts,

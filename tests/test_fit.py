@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from polishopt.files.ncode import DIALECTS
 from polishopt.files.topography import read
 from ruamel.yaml import YAML
 
@@ -120,7 +121,24 @@ def test_fit_leaves_every_file_and_no_half_ones(fitted):
         "removal.png",
         "texture.png",
         "texture_maps.png",
+        "program",
     }
+    programs = {f"polish{one.ending}" for one in DIALECTS.values()}
+    assert {path.name for path in (target / "program").iterdir()} == programs
+
+
+def test_fit_says_what_the_machine_will_make_of_the_path(fitted):
+    target, ran = fitted
+    said = json.loads((target / "result.json").read_text())["preflight"]
+    assert "Pre-flight" in ran.stdout
+    shown = " ".join(ran.stdout.split())
+    for sentence in said:
+        assert sentence in shown
+    assert any(sentence.startswith("One pass takes ") for sentence in said)
+    table = DIALECTS["csv"].read((target / "program" / "polish.csv").read_text())
+    minutes = next(float(s.split()[3]) for s in said if s.startswith("One pass"))
+    approach = 2 * 20 / 500
+    assert np.nansum(table.seconds) / 60 == pytest.approx(minutes + approach, rel=5e-3)
 
 
 def test_optimum_is_a_config_that_starts_at_the_answer(fitted):

@@ -22,12 +22,14 @@ texture.milling texture.cutter texture.cutting texture.marks
 texture.planarisation texture.scratches texture.evolution texture.direction
 texture.local texture
 setup constants margin mechanics chain plan resolved
+blocks preflight
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.auglag optimize.goals optimize.uncertainty optimize.tune optimize.sensitivity
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
-plots report results plan_report session fit sensitivity attribution measure
+postprocess plots report results plan_report session program fit sensitivity attribution
+measure
 calibrate
 texture.__main__
 """

@@ -330,6 +330,8 @@ def described(config: StepConfig, measured: str = "") -> str:
         ("limits", ", ".join(limits) or "none"),
         ("errors", ", ".join(f"{key} ± {e:g}" for key, e in errors)),
         ("secondary", config.secondary),
+        ("program", ", ".join(config.program.dialects) or "none"),
+        ("pre-flight", "python -m polishopt.program --check runs the path and looks at it"),
     ]
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name:<{width}}  {text}" for name, text in rows if text)

@@ -13,11 +13,12 @@ from pydantic import BaseModel, Field, model_validator
 
 from .asked import Chance, Limits, Process, Start, Target
 from .given import Abrasive, Hilbert, Lines, Machine, Part, Section, Tool, named
+from .programmed import Program
 from .quantity import Between, Tuned, reject
 
 
 # sections that a step of a plan may change key by key, and those that it may replace
-MERGED = ("process", "limits")
+MERGED = ("process", "limits", "program")
 REPLACED = ("tool", "abrasive", "guide", "target", "texture", "sampling")
 
 # where the constants stand that may have an error
@@ -126,6 +127,8 @@ class StepConfig(Section):
     """How the answer is searched for."""
     sampling: Sampling = Sampling()
     """How finely the physics is sampled."""
+    program: Program = Program()
+    """How the answer is written as programs for controls."""
     errors: dict[str, Annotated[float, Between("(0, inf)")]] = {}
     """Standard errors of constants, as `tool.foundation_N_mm3: 0.01`, in the unit of the
     key; `polishopt.calibrate` writes them."""
