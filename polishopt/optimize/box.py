@@ -1,4 +1,4 @@
-"""Box: Levenberg-Marquardt steps that never leave a box.
+"""Box: quasi-Newton and Levenberg-Marquardt steps that never leave a box.
 
 Optimistix has no bounds for least squares, and a map onto the box (sine, logistic) pays
 for them with a landscape that is folded or stretched just where optima tend to lie: on
@@ -20,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ..parts import Scalar
-from .model import NOISE, Weigh, learned, least_of_model, projected, pull
+from .model import Merit, learned, least_of_model, projected
 
 
 ACCEPT = 1e-4  # least share of the promised decrease that is worth moving for
@@ -62,6 +62,8 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             the box where that is finite and positive, else max(1, |start|).
         weigh: Elementwise map `weigh(values, args)` from the function's flat values to
             residuals; the values themselves by default.
+        lead: `lead(args)`, the weights of values that are added to half the sum of squares
+            as they are: 1 for an objective, which `weigh` then leaves out; 0 by default.
         radius: Half the edge of the first trust region, in units of `scale`.
     """
 
@@ -96,11 +98,11 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         del tags
         point, restore = ravel_pytree(y)
         (lower, upper), scale = bounds(y, options), state.scale
-        weigh = weighing(args, options)
+        merit = merit_of(args, options, state.values)
         low = jnp.maximum((lower - point) / scale, -state.radius)
         high = jnp.minimum((upper - point) / scale, state.radius)
         step, promised = least_of_model(
-            weigh, state.values, state.jacobian, state.curvature, low, high
+            merit, state.values, state.jacobian, state.curvature, low, high
         )
         step = jnp.where(state.first, 0.0, step)
         trial = jnp.clip(point + scale * step, lower, upper)
@@ -118,10 +120,9 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             lambda direction: jax.jvp(flat, (trial,), (direction,), has_aux=True),
             out_axes=(None, 1, None),
         )(jnp.diag(scale))
-        old = 0.5 * jnp.sum(weigh(state.values) ** 2)
-        new = 0.5 * jnp.sum(weigh(values) ** 2)
+        old, new = merit(state.values), merit(values)
         # a decrease below rounding cannot be told from none: it counts as kept
-        noise = NOISE * jnp.finfo(point.dtype).eps * old
+        noise = merit.noise(state.values)
         promised = jnp.where(promised - noise < 0, promised - noise, -1.0)
         share = (new - old - noise) / promised
         finite = jnp.all(jnp.isfinite(values))
@@ -131,7 +132,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         keep = keep & (finite | state.first)
 
         moved = (trial - point) / scale
-        change = (jacobian - state.jacobian).T @ pull(weigh, values)
+        change = (jacobian - state.jacobian).T @ merit.pull(values)
         curvature = jnp.where(
             keep & ~state.first & (jnp.max(jnp.abs(moved)) > 0),
             learned(state.curvature, moved, change),
@@ -164,7 +165,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         """The state with its optimality, under the present `args`."""
         point, _ = ravel_pytree(y)
         (lower, upper), scale = bounds(y, options), state.scale
-        weights = pull(weighing(args, options), state.values)
+        weights = merit_of(args, options, state.values).pull(state.values)
         gradient = state.jacobian.T @ weights
         free = jnp.where(upper > lower, 1.0, 0.0)
         magnitude = self.norm(free * (jnp.abs(state.jacobian).T @ jnp.abs(weights)))
@@ -201,10 +202,11 @@ def stalled(state: BoxState) -> Bool[Array, ""]:
     return state.radius < 4 * jnp.finfo(state.radius.dtype).eps
 
 
-def weighing(args, options) -> Weigh:
-    """The map from values to residuals that `options` asks for."""
+def merit_of(args, options, values: Float[Array, " m"]) -> Merit:
+    """What `options` ask to make small."""
     weigh = options.get("weigh", lambda values, _: values)
-    return lambda values: weigh(values, args)
+    lead = options["lead"](args) if "lead" in options else jnp.zeros_like(values)
+    return Merit(lambda values: weigh(values, args), lead)
 
 
 def bounds(y, options) -> tuple[Float[Array, " n"], Float[Array, " n"]]:

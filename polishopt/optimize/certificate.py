@@ -71,7 +71,7 @@ class Solution(eqx.Module):
     scaled_violation: Scalar
     """Largest violation of the scaled constraints [widths of the box]."""
     objective: Scalar
-    """Half the sum of squared residuals [-]."""
+    """What is made small: half the sum of squared residuals, plus the objective."""
     active: PyTree
     """Which inequalities hold with equality, or do not hold [bool]."""
     outer_steps: Int[Array, ""]
@@ -111,16 +111,16 @@ def certify(
     """
     plain, constraints, hinged = problem.split(state.values)
     scale, width, point = duals.scale, problem.width, ravel_pytree(x)[0]
-    multipliers = pulls[problem.residuals :]
+    multipliers = pulls[problem.plain :]
     gradient = state.jacobian.T @ pulls
     held = (point <= problem.lower) & (gradient > 0)
     held = held | ((point >= problem.upper) & (gradient < 0))
     slack = jnp.where(hinged, jnp.minimum(multipliers * scale, -constraints / scale), 0.0)
     breach = jnp.abs(problem.breach(state.values, duals))
     touching = jnp.where(constraints / scale >= -10 * goal, 1.0, 0.0)
-    residual, inequality, equality = problem.sort(state.values)
-    _, inequality_multipliers, equality_multipliers = problem.sort(pulls)
-    _, touched, _ = problem.sort(jnp.concatenate([plain, touching]))
+    residual, _, inequality, equality = problem.sort(state.values)
+    _, _, inequality_multipliers, equality_multipliers = problem.sort(pulls)
+    _, _, touched, _ = problem.sort(jnp.concatenate([plain, touching]))
     return Solution(
         x=x,
         residual=residual,
@@ -132,7 +132,7 @@ def certify(
         kkt=jnp.maximum(problem.descent(x, gradient), jnp.max(slack, initial=0.0)),
         violation=jnp.max(breach * scale, initial=0.0),
         scaled_violation=jnp.max(breach, initial=0.0),
-        objective=0.5 * jnp.sum(plain**2),
+        objective=problem.objective(state.values),
         active=jax.tree.map(lambda leaf: leaf > 0, touched),
         outer_steps=counts[0],
         inner_steps=counts[1],
