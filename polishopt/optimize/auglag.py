@@ -36,6 +36,7 @@ from .certificate import Solution, Status, certify
 from .implicit import tangent
 from .outer import LOOSE, Outer, outer_step
 from .penalty import Duals, Problem
+from .steering import steered
 from .values import Values
 
 
@@ -232,6 +233,7 @@ def _answer(parts, box, start, unit, *, options: _Options) -> Solution:
         "scale": problem.place(problem.width),
         "weigh": problem.weigh,
         "lead": problem.lead,
+        "choose": lambda duals, *rest: steered(problem, duals, *rest),
     }
 
     def turn(carry):
@@ -240,6 +242,7 @@ def _answer(parts, box, start, unit, *, options: _Options) -> Solution:
         if other is not None:
             x, state, spent = other.inner(parts, x, outer, state, count == 0)
         x, state, _ = solver.step(functions, x, outer.duals, how, state, frozenset())
+        outer = eqx.tree_at(lambda o: o.duals, outer, state.judged)
         fresh, penalty = problem.first(state)
         opened = eqx.tree_at(lambda o: (o.duals, o.penalty), outer, (fresh, penalty))
         outer = jax.tree.map(lambda a, b: jnp.where(count == 0, a, b), opened, outer)
@@ -262,7 +265,7 @@ def _answer(parts, box, start, unit, *, options: _Options) -> Solution:
         status=jnp.array(-1),
     )
     shapes = jax.eval_shape(parts, start)
-    state = solver.init(functions, start, None, how, shapes, None, frozenset())
+    state = solver.init(functions, start, outer.duals, how, shapes, None, frozenset())
     x, state, outer, count, work = jax.lax.while_loop(
         lambda carry: (carry[2].status < 0) & (carry[2].steps < options.max_outer),
         turn,

@@ -25,6 +25,7 @@ from .model import Merit, learned, least_of_model, projected
 
 ACCEPT = 1e-4  # least share of the promised decrease that is worth moving for
 SHRINK, GROW = 0.25, 2.5  # of the trust region, after a poor and after a good step
+FAR = 10.0  # times the size of an unknown: a box wider than that says nothing
 
 
 class BoxState(eqx.Module):
@@ -48,6 +49,8 @@ class BoxState(eqx.Module):
     """Largest entry of the projected gradient, per width of the box."""
     magnitude: Scalar
     """Largest sum of the gradient's terms, each without its sign."""
+    judged: PyTree
+    """The arguments that the latest step was judged by, if `choose` may change them."""
 
 
 class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
@@ -58,12 +61,13 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     Options:
         lower, upper: Bounds, pytrees like the unknowns; none by default.
-        scale: Lengths over which the unknowns matter, a pytree like them; the width of
-            the box where that is finite and positive, else max(1, |start|).
+        scale: Lengths over which the unknowns matter, a pytree like them; see `widths`.
         weigh: Elementwise map `weigh(values, args)` from the function's flat values to
             residuals; the values themselves by default.
         lead: `lead(args)`, the weights of values that are added to half the sum of squares
             as they are: 1 for an objective, which `weigh` then leaves out; 0 by default.
+        choose: `choose(args, state, low, high)`, another choice of the step between `low`
+            and `high`: the step, the change it promises, and new `args`.
         radius: Half the edge of the first trust region, in units of `scale`.
     """
 
@@ -73,7 +77,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> BoxState:
         """State before the first evaluation, which the first step makes."""
-        del fn, args, aux_struct, tags
+        del fn, aux_struct, tags
         flat, _ = ravel_pytree(y)
         outputs = sum(leaf.size for leaf in jax.tree.leaves(f_struct))
         one = jnp.ones((), flat.dtype)
@@ -91,6 +95,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             finite=jnp.array(True),
             optimality=jnp.inf * one,
             magnitude=one,
+            judged=args if "choose" in options else None,
         )
 
     def step(self, fn, y, args, options, state, tags) -> tuple[PyTree, BoxState, Any]:
@@ -98,12 +103,16 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         del tags
         point, restore = ravel_pytree(y)
         (lower, upper), scale = bounds(y, options), state.scale
-        merit = merit_of(args, options, state.values)
         low = jnp.maximum((lower - point) / scale, -state.radius)
         high = jnp.minimum((upper - point) / scale, state.radius)
-        step, promised = least_of_model(
-            merit, state.values, state.jacobian, state.curvature, low, high
-        )
+        if "choose" in options:
+            step, promised, args = options["choose"](args, state, low, high)
+            merit = merit_of(args, options, state.values)
+        else:
+            merit = merit_of(args, options, state.values)
+            step, promised = least_of_model(
+                merit, state.values, state.jacobian, state.curvature, low, high
+            )
         step = jnp.where(state.first, 0.0, step)
         trial = jnp.clip(point + scale * step, lower, upper)
         # a bound met is met exactly, whatever the rounding of the line above
@@ -157,6 +166,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             finite=finite,
             optimality=state.optimality,
             magnitude=state.magnitude,
+            judged=args if "choose" in options else None,
         )
         y = restore(point)
         return y, self.measured(y, args, options, state), aux
@@ -219,8 +229,12 @@ def bounds(y, options) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
 
 
 def widths(point, lower, upper) -> Float[Array, " n"]:
-    """Width of the box; max(1, |point|) where it is infinite or zero."""
-    width = upper - lower
+    """Lengths over which unknowns matter: the width of the box, where it has a sensible one.
+
+    Where it is infinite or zero, max(1, |point|) is taken; and never more than ten times
+    that, since bounds far away say nothing.
+    """
+    width, size = upper - lower, jnp.maximum(1.0, jnp.abs(point))
     return jnp.where(
-        jnp.isfinite(width) & (width > 0), width, jnp.maximum(1.0, jnp.abs(point))
+        jnp.isfinite(width) & (width > 0), jnp.minimum(width, FAR * size), size
     )
