@@ -217,7 +217,8 @@ def _answer(parts, box, start, unit, *, options: _Options) -> Solution:
     problem = _problem(parts, box, start, unit)
     dtype = problem.lower.dtype
     epsilon = float(jnp.finfo(dtype).eps)
-    goal = 0.5 * epsilon**0.5 if options.tolerance is None else options.tolerance
+    sharp = options.tolerance is None
+    goal = 0.5 * epsilon**0.5 if sharp else options.tolerance
     max_inner = options.max_inner
 
     def functions(x, _):
@@ -247,13 +248,13 @@ def _answer(parts, box, start, unit, *, options: _Options) -> Solution:
         opened = eqx.tree_at(lambda o: (o.duals, o.penalty), outer, (fresh, penalty))
         outer = jax.tree.map(lambda a, b: jnp.where(count == 0, a, b), opened, outer)
         state = solver.measured(x, outer.duals, how, state)
-        state, outer = outer_step(problem, x, state, outer, goal, max_inner)
+        state, outer = outer_step(problem, x, state, outer, goal, sharp, max_inner)
         return x, state, outer, count + 1, work + spent
 
     none, one = jnp.zeros(problem.constraints, dtype), jnp.ones((), dtype)
     blank = jnp.zeros(problem.plain + problem.constraints, dtype)
     outer = Outer(
-        duals=Duals(none + 1, none, none + 1, jnp.array(False), jnp.array(False)),
+        duals=Duals(none + 1, none, none + 1, one, jnp.array(False), jnp.array(False)),
         pulls=blank,
         penalty=one,
         loose=LOOSE * one,
@@ -262,6 +263,7 @@ def _answer(parts, box, start, unit, *, options: _Options) -> Solution:
         failures=jnp.array(0),
         inner=jnp.array(-1),
         steps=jnp.array(0),
+        polish=jnp.array(0),
         status=jnp.array(-1),
     )
     shapes = jax.eval_shape(parts, start)

@@ -22,6 +22,7 @@ RAISE = 10.0  # factor on the penalty of a constraint that does not improve
 IMPROVED = 0.1  # a constraint improves if its error falls below this share
 LARGEST = 1e8  # penalties and multipliers over the first penalty: above, rounding reigns
 LOOSE = 0.1  # first inner tolerance, and the factor by which it tightens
+POLISH = 8  # turns that may follow the first point within the tolerance
 PATIENCE = 3  # outer steps in a row that may fail to halve the violation
 RADIUS = 0.1  # least trust region at the start of an inner problem
 
@@ -46,6 +47,8 @@ class Outer(eqx.Module):
     """Trial points since that time."""
     steps: Int[Array, ""]
     """Changes of the multipliers."""
+    polish: Int[Array, ""]
+    """Turns at points that met the tolerance."""
     status: Int[Array, ""]
     """Whether it is over, and how; negative while it is not."""
 
@@ -56,6 +59,7 @@ def outer_step(
     state: BoxState,
     outer: Outer,
     goal: float,
+    sharp: bool,
     max_inner: int,
 ) -> tuple[BoxState, Outer]:
     """Judge the present point; renew multipliers, penalties and tolerance if it is time.
@@ -66,6 +70,7 @@ def outer_step(
         state: What is known there.
         outer: How the outer loop stood.
         goal: Tolerance, as `solve` describes it.
+        sharp: Whether a few more evaluations may go into what rounding leaves.
         max_inner: Trial points after which the multipliers change in any case.
 
     Returns:
@@ -79,17 +84,27 @@ def outer_step(
     pulls = merit.pull(state.values)
     multiplier = pulls[problem.plain :] * duals.scale
     violation = jnp.max(jnp.abs(breach), initial=0.0)
-    slack = jnp.where(hinged, jnp.minimum(multiplier, -scaled), 0.0)
     size = jnp.maximum(state.magnitude, 1.0)
+    slack = jnp.where(hinged, jnp.minimum(multiplier / size, -scaled), 0.0)
+    short = jnp.maximum(state.optimality / size, jnp.max(slack, initial=0.0))
 
     numbers = jnp.all(jnp.isfinite(state.values)) & jnp.all(jnp.isfinite(state.jacobian))
     lost = ~numbers | (stalled(state) & ~state.finite)
-    stationary = jnp.maximum(state.optimality, jnp.max(slack, initial=0.0)) <= goal * size
-    solved = ~duals.restoring & stationary & (violation <= feasible)
+    solved = ~duals.restoring & (short <= goal) & (violation <= feasible)
+    polish = outer.polish + jnp.where(solved, 1, 0)
+    aim = goal
+    if sharp:
+        epsilon = jnp.finfo(size.dtype).eps
+        aim = jnp.maximum(10 * goal / size, 50 * epsilon)
+        stationary = short <= aim
+        absolute = jnp.maximum(1e7 * goal**2 / duals.scale, 4 * epsilon)
+        exact = stationary & jnp.all(jnp.abs(breach) <= absolute)
+        solved = solved & (exact | stalled(state) | (polish > POLISH))
     spent = outer.inner + 1 >= max_inner
 
     # the inner problem is solved: better multipliers, larger penalties where needed
-    renew = (state.optimality <= outer.loose * size) | stalled(state) | spent
+    near = state.optimality <= jnp.maximum(outer.loose, LOOSE * aim) * size
+    renew = near | stalled(state) | spent
     renew = renew & ~duals.restoring & ~solved & ~lost
     error = jnp.maximum(scaled, -duals.multiplier / duals.penalty)
     error = jnp.abs(jnp.where(hinged, error, scaled))
@@ -113,11 +128,12 @@ def outer_step(
     multiplier = jnp.clip(jnp.where(renew, multiplier, duals.multiplier), -most, most)
     penalty = jnp.where(renew, jnp.minimum(raised, most), duals.penalty)
     tighter = jnp.minimum(LOOSE * outer.loose, jnp.max(error, initial=0.0))
-    loose = jnp.where(renew, jnp.maximum(tighter, goal), outer.loose)
+    loose = jnp.where(renew, jnp.maximum(tighter, LOOSE * aim if sharp else goal), outer.loose)
     duals = Duals(
         scale=duals.scale,
         multiplier=jnp.where(found, 0.0, multiplier),
         penalty=jnp.where(found, RAISE * outer.penalty, penalty),
+        leeway=jnp.where(found, IMPROVED * duals.leeway, duals.leeway),
         restoring=(duals.restoring & ~found) | restore,
         measuring=(duals.measuring & ~found) | measure,
     )
@@ -138,13 +154,14 @@ def outer_step(
     return state, Outer(
         duals=duals,
         pulls=pulls,
-        penalty=outer.penalty,
+        penalty=jnp.where(found, RAISE * outer.penalty, outer.penalty),
         loose=jnp.where(found, LOOSE, loose),
         error=jnp.where(renew, error, outer.error),
         violation=jnp.where(renew, violation, outer.violation),
         failures=jnp.where(found, 0, failures),
         inner=jnp.where(new_problem, 0, outer.inner + 1),
         steps=outer.steps + jnp.where(new_problem, 1, 0),
+        polish=polish,
         status=jnp.where(lost, Status.NOT_A_NUMBER.value, status),
     )
 

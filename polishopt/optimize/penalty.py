@@ -17,6 +17,7 @@ from .box import BoxState
 from .model import positive, projected
 
 
+LEEWAY = 1e-2  # first leeway, in lengths of the unknowns
 PENALTY = 10.0  # first penalty, over the objective's steepness or curvature at the start
 
 
@@ -29,6 +30,8 @@ class Duals(eqx.Module):
     """Multipliers of the scaled constraints, lambda and nu."""
     penalty: Float[Array, " c"]
     """Penalties of the scaled constraints, mu."""
+    leeway: Scalar
+    """Scaled violation that is left to the multipliers; see `steering`."""
     restoring: Bool[Array, ""]
     """Whether only the violation counts."""
     measuring: Bool[Array, ""]
@@ -123,6 +126,7 @@ class Problem(eqx.Module):
             scale=scale,
             multiplier=jnp.zeros_like(scale),
             penalty=jnp.ones_like(scale),
+            leeway=jnp.full((), LEEWAY, scale.dtype),
             restoring=jnp.array(False),
             measuring=jnp.array(False),
         )

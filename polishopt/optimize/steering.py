@@ -3,7 +3,7 @@
 Far from an optimum the first penalty is a guess. Where it is too small, an objective that
 falls fast carries the search away from the limits, and back to another basin or nowhere.
 The model of the problem tells before any evaluation: if it expects a step to end further
-outside than `LEEWAY`, and a step for the violation alone to do much better, penalties rise
+outside than a leeway, and a step for the violation alone to do much better, penalties rise
 at once.
 
 Source: Curtis, Jiang & Robinson (2015), An adaptive augmented Lagrangian method for
@@ -21,7 +21,6 @@ from .model import Merit, least_of_model
 from .penalty import Duals, Problem
 
 
-LEEWAY = 1e-2  # violation that is left to the multipliers, in lengths of the unknowns
 SHARE = 0.1  # of the fall of violation that a step for it alone would bring
 TRIES = 6  # one for the step as it is, one for the violation, the rest with penalties up
 FIRMER = 10.0  # factor on a penalty that is too small
@@ -59,9 +58,9 @@ def steered(
         then = jnp.max(there, initial=0.0)
         best = jnp.where(count == 1, then, best)
         enough = now - SHARE * jnp.maximum(now - best, 0.0)
-        fine = (then <= LEEWAY) | jnp.where(count == 0, then <= 0.5 * now, then <= enough)
+        fine = (then <= duals.leeway) | jnp.where(count == 0, then <= 0.5 * now, then <= enough)
         fine = (fine & (count != 1)) | duals.restoring | state.first
-        raised = (there > LEEWAY) & ~fine & (count > 0)
+        raised = (there > duals.leeway) & ~fine & (count > 0)
         penalty = jnp.where(raised, FIRMER * firm.penalty, firm.penalty)
         last = fine | (count == TRIES - 1)
         firm = eqx.tree_at(
