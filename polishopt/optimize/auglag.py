@@ -254,7 +254,7 @@ def _answer(parts, box, start, unit, *, options: _Options) -> Solution:
     none, one = jnp.zeros(problem.constraints, dtype), jnp.ones((), dtype)
     blank = jnp.zeros(problem.plain + problem.constraints, dtype)
     outer = Outer(
-        duals=Duals(none + 1, none, none + 1, one, jnp.array(False), jnp.array(False)),
+        duals=Duals(none + 1, none, none + 1, one, one, *[jnp.array(False)] * 2),
         pulls=blank,
         penalty=one,
         loose=LOOSE * one,

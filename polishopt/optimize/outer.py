@@ -20,7 +20,6 @@ from .penalty import Duals, Problem
 
 RAISE = 10.0  # factor on the penalty of a constraint that does not improve
 IMPROVED = 0.1  # a constraint improves if its error falls below this share
-LARGEST = 1e8  # penalties and multipliers over the first penalty: above, rounding reigns
 LOOSE = 0.1  # first inner tolerance, and the factor by which it tightens
 POLISH = 8  # turns that may follow the first point within the tolerance
 PATIENCE = 3  # outer steps in a row that may fail to halve the violation
@@ -110,7 +109,6 @@ def outer_step(
     error = jnp.abs(jnp.where(hinged, error, scaled))
     improved = (error <= IMPROVED * outer.error) | (error <= feasible)
     raised = jnp.where(improved, duals.penalty, RAISE * duals.penalty)
-    most = LARGEST * outer.penalty
     halved = (violation <= 0.5 * outer.violation) | (violation <= feasible)
     failures = jnp.where(renew, jnp.where(halved, 0, outer.failures + 1), outer.failures)
 
@@ -120,19 +118,21 @@ def outer_step(
     restore = renew & cornered & (failures >= PATIENCE)
     found = duals.restoring & (violation <= feasible)
     amount = jnp.max(jnp.abs(problem.excess(state.values) / problem.measure(duals)), initial=0.0)
-    flat = state.optimality <= 0.1 * goal * jnp.maximum(state.magnitude, amount**2)
+    fine = jnp.where(duals.measuring, 0.1 * goal, 1e3 * goal)
+    flat = state.optimality <= fine * jnp.maximum(state.magnitude, amount**2)
     bottom = duals.restoring & ~found & (flat | stalled(state))
     least = bottom & duals.measuring
     measure = bottom & ~duals.measuring
 
-    multiplier = jnp.clip(jnp.where(renew, multiplier, duals.multiplier), -most, most)
-    penalty = jnp.where(renew, jnp.minimum(raised, most), duals.penalty)
+    multiplier = jnp.clip(jnp.where(renew, multiplier, duals.multiplier), -duals.most, duals.most)
+    penalty = jnp.where(renew, jnp.minimum(raised, duals.most), duals.penalty)
     tighter = jnp.minimum(LOOSE * outer.loose, jnp.max(error, initial=0.0))
     loose = jnp.where(renew, jnp.maximum(tighter, LOOSE * aim if sharp else goal), outer.loose)
     duals = Duals(
         scale=duals.scale,
         multiplier=jnp.where(found, 0.0, multiplier),
         penalty=jnp.where(found, RAISE * outer.penalty, penalty),
+        most=jnp.where(found, RAISE * duals.most, duals.most),
         leeway=jnp.where(found, IMPROVED * duals.leeway, duals.leeway),
         restoring=(duals.restoring & ~found) | restore,
         measuring=(duals.measuring & ~found) | measure,

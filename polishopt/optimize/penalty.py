@@ -17,6 +17,7 @@ from .box import BoxState
 from .model import positive, projected
 
 
+LARGEST = 1e8  # penalties and multipliers over the first penalty
 LEEWAY = 1e-2  # first leeway, in lengths of the unknowns
 PENALTY = 10.0  # first penalty, over the objective's steepness or curvature at the start
 
@@ -30,6 +31,8 @@ class Duals(eqx.Module):
     """Multipliers of the scaled constraints, lambda and nu."""
     penalty: Float[Array, " c"]
     """Penalties of the scaled constraints, mu."""
+    most: Scalar
+    """Largest penalty and multiplier: above, rounding reigns."""
     leeway: Scalar
     """Scaled violation that is left to the multipliers; see `steering`."""
     restoring: Bool[Array, ""]
@@ -126,6 +129,7 @@ class Problem(eqx.Module):
             scale=scale,
             multiplier=jnp.zeros_like(scale),
             penalty=jnp.ones_like(scale),
+            most=jnp.ones((), scale.dtype),
             leeway=jnp.full((), LEEWAY, scale.dtype),
             restoring=jnp.array(False),
             measuring=jnp.array(False),
@@ -138,6 +142,5 @@ class Problem(eqx.Module):
         violation = 0.5 * jnp.sum(self.breach(state.values, duals) ** 2)
         balance = jnp.where(violation > 0, objective / positive(violation), jnp.inf)
         penalty = PENALTY * jnp.minimum(positive(steep), balance)
-        return eqx.tree_at(
-            lambda d: d.penalty, duals, jnp.full_like(scale, penalty)
-        ), penalty
+        penalties = jnp.full_like(scale, penalty), LARGEST * penalty
+        return eqx.tree_at(lambda d: (d.penalty, d.most), duals, penalties), penalty

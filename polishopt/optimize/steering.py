@@ -61,7 +61,8 @@ def steered(
         fine = (then <= duals.leeway) | jnp.where(count == 0, then <= 0.5 * now, then <= enough)
         fine = (fine & (count != 1)) | duals.restoring | state.first
         raised = (there > duals.leeway) & ~fine & (count > 0)
-        penalty = jnp.where(raised, FIRMER * firm.penalty, firm.penalty)
+        firmer = jnp.minimum(FIRMER * firm.penalty, duals.most)
+        penalty = jnp.where(raised, firmer, firm.penalty)
         last = fine | (count == TRIES - 1)
         firm = eqx.tree_at(
             lambda d: d.penalty, firm, jnp.where(last, firm.penalty, penalty)
