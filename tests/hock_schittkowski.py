@@ -124,9 +124,7 @@ def hs83_limits(x):
     first = 85.334407 + 0.0056858 * b * e + 0.0006262 * a * d - 0.0022053 * c * e
     second = 80.51249 + 0.0071317 * b * e + 0.0029955 * a * b + 0.0021813 * c**2
     third = 9.300961 + 0.0047026 * c * e + 0.0012547 * a * c + 0.0019085 * c * d
-    return at_least_0(
-        first, 92 - first, second - 90, 110 - second, third - 20, 25 - third
-    )
+    return at_least_0(first, 92 - first, second - 90, 110 - second, third - 20, 25 - third)
 
 
 HS86_LINEAR = np.array([-15.0, -27, -36, -18, -12])

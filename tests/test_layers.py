@@ -21,6 +21,7 @@ texture.planarisation texture.scratches texture.evolution texture.direction
 texture.local texture
 setup constants margin mechanics chain plan resolved
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
+optimize.naming
 optimize.steering optimize.outer optimize.implicit optimize.adapted
 optimize.auglag optimize.goals optimize.uncertainty optimize.tune optimize.sensitivity
 optimize.attribution

@@ -1,11 +1,11 @@
 r"""Auglag: constrained least squares and minimisation, with a certificate.
 
-$$\min_{l \le x \le u} f(x) + \tfrac12 |r(x)|^2 \quad\text{with}\quad g(x) \le 0,\ h(x) = 0$$
+$$\min_{l \le x \le u} f(x) + \tfrac12 |r(x)|^2 \ \text{with}\ g(x) \le 0,\ h(x) = 0$$
 
 The augmented Lagrangian of Powell, Hestenes and Rockafellar turns this into a series of
 problems without constraints,
-$f + \tfrac12 |r|^2 + \tfrac\mu2 |(g + \lambda/\mu)_+|^2 + \tfrac\mu2 |h + \nu/\mu|^2$, whose
-multipliers $\lambda, \nu$ are then improved by $\lambda \leftarrow (\lambda + \mu g)_+$,
+$f + \tfrac12 |r|^2 + \tfrac\mu2 |(g + \lambda/\mu)_+|^2 + \tfrac\mu2 |h + \nu/\mu|^2$,
+whose multipliers $\lambda, \nu$ are then improved by $\lambda \leftarrow (\lambda + \mu g)_+$,
 $\nu \leftarrow \nu + \mu h$. Every constraint has a penalty $\mu$ of its own, raised only
 while that constraint does not improve, and a scale of its own, its gradient at the start,
 so that its unit of measure does not matter. Residuals are used as they are: give them a

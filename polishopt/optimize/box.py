@@ -229,7 +229,7 @@ def bounds(y, options) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
 
 
 def widths(point, lower, upper) -> Float[Array, " n"]:
-    """Lengths over which unknowns matter: the width of the box, where it has a sensible one.
+    """Lengths over which unknowns matter: the width of the box, where that is sensible.
 
     Where it is infinite or zero, max(1, |point|) is taken; and never more than ten times
     that, since bounds far away say nothing.

@@ -22,7 +22,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, PyTree
 
 from .certificate import Solution, Status
 from .model import positive
@@ -68,9 +67,9 @@ def tangent(
 
         return jax.jacfwd(lagrangian)(x)
 
-    held = ravel_pytree(jax.tree.map(lambda b: b != 0, solution.bound_multipliers))[0]
+    push, _ = ravel_pytree(solution.bound_multipliers)
     fixed = problem.lower == problem.upper
-    at_upper = ~fixed & (point >= problem.upper)
+    held, at_upper = push != 0, ~fixed & (push > 0)
     multiplier = ravel_pytree(
         (solution.inequality_multipliers, solution.equality_multipliers)
     )[0].astype(dtype)

@@ -117,17 +117,23 @@ def outer_step(
     cornered = problem.descent(x, slope) <= 0.1 * violation
     restore = renew & cornered & (failures >= PATIENCE)
     found = duals.restoring & (violation <= feasible)
-    amount = jnp.max(jnp.abs(problem.excess(state.values) / problem.measure(duals)), initial=0.0)
+    amount = jnp.max(
+        jnp.abs(problem.excess(state.values) / problem.measure(duals)), initial=0.0
+    )
     fine = jnp.where(duals.measuring, 0.1 * goal, 1e3 * goal)
     flat = state.optimality <= fine * jnp.maximum(state.magnitude, amount**2)
     bottom = duals.restoring & ~found & (flat | stalled(state))
     least = bottom & duals.measuring
     measure = bottom & ~duals.measuring
 
-    multiplier = jnp.clip(jnp.where(renew, multiplier, duals.multiplier), -duals.most, duals.most)
+    multiplier = jnp.clip(
+        jnp.where(renew, multiplier, duals.multiplier), -duals.most, duals.most
+    )
     penalty = jnp.where(renew, jnp.minimum(raised, duals.most), duals.penalty)
     tighter = jnp.minimum(LOOSE * outer.loose, jnp.max(error, initial=0.0))
-    loose = jnp.where(renew, jnp.maximum(tighter, LOOSE * aim if sharp else goal), outer.loose)
+    loose = jnp.where(
+        renew, jnp.maximum(tighter, LOOSE * aim if sharp else goal), outer.loose
+    )
     duals = Duals(
         scale=duals.scale,
         multiplier=jnp.where(found, 0.0, multiplier),

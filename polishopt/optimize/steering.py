@@ -58,7 +58,9 @@ def steered(
         then = jnp.max(there, initial=0.0)
         best = jnp.where(count == 1, then, best)
         enough = now - SHARE * jnp.maximum(now - best, 0.0)
-        fine = (then <= duals.leeway) | jnp.where(count == 0, then <= 0.5 * now, then <= enough)
+        fine = (then <= duals.leeway) | jnp.where(
+            count == 0, then <= 0.5 * now, then <= enough
+        )
         fine = (fine & (count != 1)) | duals.restoring | state.first
         raised = (there > duals.leeway) & ~fine & (count > 0)
         firmer = jnp.minimum(FIRMER * firm.penalty, duals.most)
