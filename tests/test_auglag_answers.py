@@ -1,4 +1,4 @@
-"""What an answer says beyond the point: what conflicts, what a limit is worth, how it moves.
+"""What an answer says beyond the point: what conflicts, what a limit is worth, its moves.
 
 Every derivative is checked against problems solved again, every least violation against
 scipy from many starts.
@@ -62,7 +62,7 @@ def test_derivatives_of_the_optimum_are_those_of_solving_again():
 
     @jax.jit
     def both(theta):
-        backward = jax.grad(lambda theta: jnp.sum(hs71(theta).x * jnp.arange(4.0)))
+        backward = jax.grad(lambda theta: hs71(theta).x @ jnp.arange(4.0))
         return jax.jacfwd(lambda theta: told(hs71(theta)))(theta), backward(theta)
 
     forward, backward = jax.tree.map(

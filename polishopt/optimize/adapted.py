@@ -4,7 +4,9 @@ They know no bounds, so they move a free point that a smooth map takes into the 
 between two bounds, a branch of a hyperbola at a single one. All its points lie in the box,
 and a bound that holds is an ordinary minimum there. That costs them many evaluations (see
 `box`), and gradients that vanish at a bound the answer must leave: so each solve starts a
-little inside of such a bound, and ends on a bound that it came very close to.
+little inside of such a bound, and ends on a bound that it came very close to. A line search
+cannot see a decrease below the rounding of its objective, which a penalty makes large: the
+last digits are left to the steps of `box`.
 """
 
 import equinox as eqx
@@ -21,6 +23,7 @@ from .penalty import Problem
 
 
 ROUNDS = 4  # solves of one inner problem, each from where the last one ended
+CROSSOVER = 2e-4  # relative inner tolerance from which the steps of `box` go on
 NUDGE = 1e-3  # start inside a bound, in widths of the box
 SNAP = 1e-7  # and this close to it, on it
 SHARE = 1e-3  # tolerance on steps over the tolerance on gradients that is asked for
@@ -130,10 +133,10 @@ class Adapted(eqx.Module):
             return end, jnp.asarray(answer.stats["num_steps"]) + 2
 
         end, steps = jax.lax.cond(skip, lambda: (point, jnp.ones_like(outer.steps)), solved)
-        # the next step of the box's solver evaluates this point, and moves no further
+        # the next step of `box` then evaluates this point, and moves no further
         return (
             self.problem.place(end),
-            eqx.tree_at(lambda s: s.first, state, jnp.array(True)),
+            eqx.tree_at(lambda s: s.first, state, ~skip | state.first),
             steps,
         )
 

@@ -5,7 +5,7 @@ $$\min_{l \le x \le u} f(x) + \tfrac12 |r(x)|^2 \ \text{with}\ g(x) \le 0,\ h(x)
 The augmented Lagrangian of Powell, Hestenes and Rockafellar turns this into a series of
 problems without constraints,
 $f + \tfrac12 |r|^2 + \tfrac\mu2 |(g + \lambda/\mu)_+|^2 + \tfrac\mu2 |h + \nu/\mu|^2$,
-whose multipliers $\lambda, \nu$ are then improved by $\lambda \leftarrow (\lambda + \mu g)_+$,
+whose multipliers are then improved by $\lambda \leftarrow (\lambda + \mu g)_+$,
 $\nu \leftarrow \nu + \mu h$. Every constraint has a penalty $\mu$ of its own, raised only
 while that constraint does not improve, and a scale of its own, its gradient at the start,
 so that its unit of measure does not matter. Residuals are used as they are: give them a
@@ -30,7 +30,7 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree
 
-from .adapted import ROUNDS, Adapted
+from .adapted import CROSSOVER, ROUNDS, Adapted
 from .box import BoxLevenbergMarquardt, widths
 from .certificate import Solution, Status, certify
 from .implicit import tangent
@@ -80,7 +80,8 @@ def solve(
         max_inner: Most trial points between two changes.
         solver: None for `BoxLevenbergMarquardt()`; or any least-squares solver or
             minimiser of optimistix. All but the first reach the box through a map of it,
-            and take many more evaluations. Their own tolerances are set by the outer loop.
+            and take many more evaluations. Their own tolerances are set by the outer loop,
+            and the first one finds the last digits.
         unit: What one unit of violation is for each constraint where no point is feasible
             and the sum of its squares is made least: a pair of pytrees like `inequality`
             and `equality`; None: one of the constraint's own units.
@@ -227,7 +228,6 @@ def _answer(parts, box, start, unit, *, options: _Options) -> Solution:
     solver, other = options.solver or BoxLevenbergMarquardt(), None
     if not isinstance(solver, BoxLevenbergMarquardt):
         other, solver = Adapted(solver, problem, max_inner), BoxLevenbergMarquardt()
-        max_inner = ROUNDS
     how = {
         "lower": box[0],
         "upper": box[1],
@@ -239,16 +239,18 @@ def _answer(parts, box, start, unit, *, options: _Options) -> Solution:
 
     def turn(carry):
         x, state, outer, count, work = carry
-        spent = 1
+        spent, most = 1, max_inner
         if other is not None:
-            x, state, spent = other.inner(parts, x, outer, state, count == 0)
+            near = outer.loose < CROSSOVER
+            x, state, spent = other.inner(parts, x, outer, state, (count == 0) | near)
+            most = jnp.where(near, max_inner, ROUNDS)
         x, state, _ = solver.step(functions, x, outer.duals, how, state, frozenset())
         outer = eqx.tree_at(lambda o: o.duals, outer, state.judged)
         fresh, penalty = problem.first(state)
         opened = eqx.tree_at(lambda o: (o.duals, o.penalty), outer, (fresh, penalty))
         outer = jax.tree.map(lambda a, b: jnp.where(count == 0, a, b), opened, outer)
         state = solver.measured(x, outer.duals, how, state)
-        state, outer = outer_step(problem, x, state, outer, goal, sharp, max_inner)
+        state, outer = outer_step(problem, x, state, outer, goal, sharp, most)
         return x, state, outer, count + 1, work + spent
 
     none, one = jnp.zeros(problem.constraints, dtype), jnp.ones((), dtype)

@@ -18,6 +18,8 @@ family of points is optimal it is the shortest move, in widths of the box and sc
 constraints. It says nothing about another basin that might become the better one.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -73,7 +75,8 @@ def tangent(
     multiplier = ravel_pytree(
         (solution.inequality_multipliers, solution.equality_multipliers)
     )[0].astype(dtype)
-    slopes = jax.jacfwd(lambda x: values(parts, x)[problem.plain :])(point) * width
+    slopes = jax.jacfwd(lambda x: values(parts, x)[problem.plain :])(point)
+    slopes = slopes * width[None, :]
     scale = positive(jnp.max(jnp.abs(slopes), axis=1))
     force = multiplier * scale
     some = PUSH * cut**2 * jnp.max(jnp.abs(force), initial=0.0)
@@ -123,18 +126,19 @@ def tangent(
     _, moved = eqx.filter_jvp(
         outcome, (parts, point, multiplier), (parts_dot, x_dot, m_dot)
     )
-    nothing = jax.tree.map(lambda _: None, solution)
-    return eqx.tree_at(
-        lambda s: (
-            s.x,
-            s.residual,
-            s.inequality,
-            s.equality,
-            (s.inequality_multipliers, s.equality_multipliers),
-            s.bound_multipliers,
-            s.objective,
-        ),
-        nothing,
-        (problem.place(x_dot), *moved),
-        is_leaf=lambda leaf: leaf is None,
+    names = (
+        "residual",
+        "inequality",
+        "equality",
+        ("inequality_multipliers", "equality_multipliers"),
+        "bound_multipliers",
+        "objective",
     )
+    found = {"x": problem.place(x_dot)}
+    for name, part in zip(names, moved, strict=True):
+        found |= (
+            {name: part} if isinstance(name, str) else dict(zip(name, part, strict=True))
+        )
+    other = dataclasses.replace(solution, **found)
+    # what was not replaced does not move: that is None, for equinox
+    return jax.tree.map(lambda a, b: None if a is b else a, other, solution)

@@ -60,7 +60,7 @@ def _named(tree: PyTree) -> dict[str, float]:
         array = np.asarray(leaf)
         for index in np.ndindex(array.shape):
             place = f"[{', '.join(map(str, index))}]" if index else ""
-            found[name + place] = array[index].item()
+            found[name + place] = float(array[index])
     return found
 
 

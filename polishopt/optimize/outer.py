@@ -59,7 +59,7 @@ def outer_step(
     outer: Outer,
     goal: float,
     sharp: bool,
-    max_inner: int,
+    max_inner: int | Int[Array, ""],
 ) -> tuple[BoxState, Outer]:
     """Judge the present point; renew multipliers, penalties and tolerance if it is time.
 
