@@ -219,7 +219,7 @@ def _answer(parts, box, start, unit, *, options: _Options) -> Solution:
     dtype = problem.lower.dtype
     epsilon = float(jnp.finfo(dtype).eps)
     sharp = options.tolerance is None
-    goal = 0.5 * epsilon**0.5 if sharp else options.tolerance
+    goal = 0.5 * epsilon**0.5 if options.tolerance is None else options.tolerance
     max_inner = options.max_inner
 
     def functions(x, _):
