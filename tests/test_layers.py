@@ -24,6 +24,8 @@ texture.local texture
 setup constants margin mechanics chain plan resolved
 blocks preflight
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
+optimize.naming
+optimize.steering optimize.outer optimize.implicit optimize.adapted
 optimize.auglag optimize.goals optimize.uncertainty optimize.tune optimize.sensitivity
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize

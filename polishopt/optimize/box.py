@@ -1,4 +1,4 @@
-"""Box: Levenberg-Marquardt steps that never leave a box.
+"""Box: quasi-Newton and Levenberg-Marquardt steps that never leave a box.
 
 Optimistix has no bounds for least squares, and a map onto the box (sine, logistic) pays
 for them with a landscape that is folded or stretched just where optima tend to lie: on
@@ -20,11 +20,12 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ..parts import Scalar
-from .model import NOISE, Weigh, learned, least_of_model, projected, pull
+from .model import Merit, learned, least_of_model, projected
 
 
 ACCEPT = 1e-4  # least share of the promised decrease that is worth moving for
 SHRINK, GROW = 0.25, 2.5  # of the trust region, after a poor and after a good step
+FAR = 10.0  # times the size of an unknown: a box wider than that says nothing
 
 
 class BoxState(eqx.Module):
@@ -48,6 +49,8 @@ class BoxState(eqx.Module):
     """Largest entry of the projected gradient, per width of the box."""
     magnitude: Scalar
     """Largest sum of the gradient's terms, each without its sign."""
+    judged: PyTree
+    """The arguments that the latest step was judged by, if `choose` may change them."""
 
 
 class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
@@ -58,10 +61,13 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     Options:
         lower, upper: Bounds, pytrees like the unknowns; none by default.
-        scale: Lengths over which the unknowns matter, a pytree like them; the width of
-            the box where that is finite and positive, else max(1, |start|).
+        scale: Lengths over which the unknowns matter, a pytree like them; see `widths`.
         weigh: Elementwise map `weigh(values, args)` from the function's flat values to
             residuals; the values themselves by default.
+        lead: `lead(args)`, the weights of values that are added to half the sum of squares
+            as they are: 1 for an objective, which `weigh` then leaves out; 0 by default.
+        choose: `choose(args, state, low, high)`, another choice of the step between `low`
+            and `high`: the step, the change it promises, and new `args`.
         radius: Half the edge of the first trust region, in units of `scale`.
     """
 
@@ -71,7 +77,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags) -> BoxState:
         """State before the first evaluation, which the first step makes."""
-        del fn, args, aux_struct, tags
+        del fn, aux_struct, tags
         flat, _ = ravel_pytree(y)
         outputs = sum(leaf.size for leaf in jax.tree.leaves(f_struct))
         one = jnp.ones((), flat.dtype)
@@ -89,6 +95,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             finite=jnp.array(True),
             optimality=jnp.inf * one,
             magnitude=one,
+            judged=args if "choose" in options else None,
         )
 
     def step(self, fn, y, args, options, state, tags) -> tuple[PyTree, BoxState, Any]:
@@ -96,12 +103,16 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         del tags
         point, restore = ravel_pytree(y)
         (lower, upper), scale = bounds(y, options), state.scale
-        weigh = weighing(args, options)
         low = jnp.maximum((lower - point) / scale, -state.radius)
         high = jnp.minimum((upper - point) / scale, state.radius)
-        step, promised = least_of_model(
-            weigh, state.values, state.jacobian, state.curvature, low, high
-        )
+        if "choose" in options:
+            step, promised, args = options["choose"](args, state, low, high)
+            merit = merit_of(args, options, state.values)
+        else:
+            merit = merit_of(args, options, state.values)
+            step, promised = least_of_model(
+                merit, state.values, state.jacobian, state.curvature, low, high
+            )
         step = jnp.where(state.first, 0.0, step)
         trial = jnp.clip(point + scale * step, lower, upper)
         # a bound met is met exactly, whatever the rounding of the line above
@@ -118,10 +129,9 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             lambda direction: jax.jvp(flat, (trial,), (direction,), has_aux=True),
             out_axes=(None, 1, None),
         )(jnp.diag(scale))
-        old = 0.5 * jnp.sum(weigh(state.values) ** 2)
-        new = 0.5 * jnp.sum(weigh(values) ** 2)
+        old, new = merit(state.values), merit(values)
         # a decrease below rounding cannot be told from none: it counts as kept
-        noise = NOISE * jnp.finfo(point.dtype).eps * old
+        noise = merit.noise(state.values)
         promised = jnp.where(promised - noise < 0, promised - noise, -1.0)
         share = (new - old - noise) / promised
         finite = jnp.all(jnp.isfinite(values))
@@ -131,7 +141,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         keep = keep & (finite | state.first)
 
         moved = (trial - point) / scale
-        change = (jacobian - state.jacobian).T @ pull(weigh, values)
+        change = (jacobian - state.jacobian).T @ merit.pull(values)
         curvature = jnp.where(
             keep & ~state.first & (jnp.max(jnp.abs(moved)) > 0),
             learned(state.curvature, moved, change),
@@ -156,6 +166,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             finite=finite,
             optimality=state.optimality,
             magnitude=state.magnitude,
+            judged=args if "choose" in options else None,
         )
         y = restore(point)
         return y, self.measured(y, args, options, state), aux
@@ -164,7 +175,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         """The state with its optimality, under the present `args`."""
         point, _ = ravel_pytree(y)
         (lower, upper), scale = bounds(y, options), state.scale
-        weights = pull(weighing(args, options), state.values)
+        weights = merit_of(args, options, state.values).pull(state.values)
         gradient = state.jacobian.T @ weights
         free = jnp.where(upper > lower, 1.0, 0.0)
         magnitude = self.norm(free * (jnp.abs(state.jacobian).T @ jnp.abs(weights)))
@@ -201,10 +212,11 @@ def stalled(state: BoxState) -> Bool[Array, ""]:
     return state.radius < 4 * jnp.finfo(state.radius.dtype).eps
 
 
-def weighing(args, options) -> Weigh:
-    """The map from values to residuals that `options` asks for."""
+def merit_of(args, options, values: Float[Array, " m"]) -> Merit:
+    """What `options` ask to make small."""
     weigh = options.get("weigh", lambda values, _: values)
-    return lambda values: weigh(values, args)
+    lead = options["lead"](args) if "lead" in options else jnp.zeros_like(values)
+    return Merit(lambda values: weigh(values, args), lead)
 
 
 def bounds(y, options) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
@@ -217,8 +229,12 @@ def bounds(y, options) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
 
 
 def widths(point, lower, upper) -> Float[Array, " n"]:
-    """Width of the box; max(1, |point|) where it is infinite or zero."""
-    width = upper - lower
+    """Lengths over which unknowns matter: the width of the box, where that is sensible.
+
+    Where it is infinite or zero, max(1, |point|) is taken; and never more than ten times
+    that, since bounds far away say nothing.
+    """
+    width, size = upper - lower, jnp.maximum(1.0, jnp.abs(point))
     return jnp.where(
-        jnp.isfinite(width) & (width > 0), width, jnp.maximum(1.0, jnp.abs(point))
+        jnp.isfinite(width) & (width > 0), jnp.minimum(width, FAR * size), size
     )

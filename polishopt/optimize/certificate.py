@@ -18,6 +18,9 @@ from .box import BoxState
 from .penalty import Duals, Problem
 
 
+SHARE = 1e-4  # of the largest force or violation: less is no part of a conflict
+
+
 class Status(enum.IntEnum):
     """How a solve ended."""
 
@@ -70,8 +73,14 @@ class Solution(eqx.Module):
     """Largest violation [units of the constraint]."""
     scaled_violation: Scalar
     """Largest violation of the scaled constraints [widths of the box]."""
+    infeasibility: Scalar
+    """Root of the sum of squared violations, in the units that `solve` was given; what is
+    made least where no point is feasible."""
+    conflict: tuple[PyTree, PyTree, PyTree]
+    """Which inequalities, equalities and bounds stand against each other, where the problem
+    is infeasible [bool]; `naming.conflict` lists them by name."""
     objective: Scalar
-    """Half the sum of squared residuals [-]."""
+    """What is made small: half the sum of squared residuals, plus the objective."""
     active: PyTree
     """Which inequalities hold with equality, or do not hold [bool]."""
     outer_steps: Int[Array, ""]
@@ -110,17 +119,32 @@ def certify(
         The solution with its certificate.
     """
     plain, constraints, hinged = problem.split(state.values)
+    excess = problem.excess(state.values) / problem.unit
+    infeasible = status == Status.INFEASIBLE.value
     scale, width, point = duals.scale, problem.width, ravel_pytree(x)[0]
-    multipliers = pulls[problem.residuals :]
+    multipliers = pulls[problem.plain :]
     gradient = state.jacobian.T @ pulls
-    held = (point <= problem.lower) & (gradient > 0)
-    held = held | ((point >= problem.upper) & (gradient < 0))
+    # a bound pushes from a rounding error away too
+    room = jnp.minimum(point - problem.lower, problem.upper - point) / width
+    inside = problem.upper - point > point - problem.lower
+    held = (room <= goal) & (jnp.abs(gradient) > room)
+    held = held & jnp.where(inside, gradient > 0, gradient < 0)
+    held = held | ((problem.lower == problem.upper) & (gradient != 0))
     slack = jnp.where(hinged, jnp.minimum(multipliers * scale, -constraints / scale), 0.0)
     breach = jnp.abs(problem.breach(state.values, duals))
     touching = jnp.where(constraints / scale >= -10 * goal, 1.0, 0.0)
-    residual, inequality, equality = problem.sort(state.values)
-    _, inequality_multipliers, equality_multipliers = problem.sort(pulls)
-    _, touched, _ = problem.sort(jnp.concatenate([plain, touching]))
+    # what pulls at the point, and what is violated although it is flat there
+    force = jnp.abs(multipliers) * jnp.max(jnp.abs(state.jacobian[problem.plain :]), axis=1)
+    most = jnp.max(force, initial=0.0)
+    worst = jnp.max(jnp.abs(excess), initial=0.0)
+    involved = (force > SHARE * most) | (jnp.abs(excess) > SHARE * worst)
+    involved = jnp.where(infeasible & involved, 1.0, 0.0)
+    _, _, *sides = problem.sort(jnp.concatenate([plain, involved]))
+    wall = infeasible & held & (jnp.abs(gradient) > SHARE * most)
+    conflict = (*sides, problem.place(jnp.where(wall, 1.0, 0.0)))
+    residual, _, inequality, equality = problem.sort(state.values)
+    _, _, inequality_multipliers, equality_multipliers = problem.sort(pulls)
+    _, _, touched, _ = problem.sort(jnp.concatenate([plain, touching]))
     return Solution(
         x=x,
         residual=residual,
@@ -132,7 +156,9 @@ def certify(
         kkt=jnp.maximum(problem.descent(x, gradient), jnp.max(slack, initial=0.0)),
         violation=jnp.max(breach * scale, initial=0.0),
         scaled_violation=jnp.max(breach, initial=0.0),
-        objective=0.5 * jnp.sum(plain**2),
+        infeasibility=jnp.sqrt(jnp.sum(excess**2)),
+        conflict=jax.tree.map(lambda leaf: leaf > 0, conflict),
+        objective=problem.objective(state.values),
         active=jax.tree.map(lambda leaf: leaf > 0, touched),
         outer_steps=counts[0],
         inner_steps=counts[1],

@@ -1,15 +1,18 @@
-r"""Model: what the next step expects of a least-squares problem, and where it is least.
+r"""Model: what the next step expects of a problem, and where it is least.
 
-The residuals are a cheap elementwise function of values that are dear, $w(v(x))$: a hinge
-or a weight. Values and their Jacobian at one point give the model
-$m(d) = \tfrac12 |w(v + J d)|^2 + \tfrac12 d^T S d$ around it. It sees a hinge before the
-step runs over it, and the matrix $S$ holds the curvature of the values themselves, learned
-from the Jacobians of accepted points. A problem with fewer residuals than unknowns, or with
-multipliers on curved constraints, has no other curvature along its valley.
+What is made small is a cheap function of values that are dear, $\tfrac12 |w(v(x))|^2 + l^T
+v(x)$: elementwise $w$ is a hinge or a weight, and $l$ picks a value that is an objective as
+it stands. Values and their Jacobian at one point give the model
+$m(d) = \tfrac12 |w(v + J d)|^2 + l^T (v + J d) + \tfrac12 d^T S d$ around it. It sees a
+hinge before the step runs over it, and the matrix $S$ holds the curvature of the values
+themselves, learned from the Jacobians of accepted points. An objective that is no sum of
+squares, a problem with fewer residuals than unknowns, or with multipliers on curved
+constraints, has no other curvature along its valley.
 """
 
 from collections.abc import Callable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -24,10 +27,27 @@ HALVINGS = 12  # lengths tried along each of them
 Weigh = Callable[[Float[Array, " m"]], Float[Array, " m"]]
 
 
-def pull(weigh: Weigh, values: Float[Array, " m"]) -> Float[Array, " m"]:
-    """Derivative of half the sum of squares of `weigh(values)`: the multipliers."""
-    rows, slope = jax.jvp(weigh, (values,), (jnp.ones_like(values),))
-    return slope * rows
+class Merit(eqx.Module):
+    """What is made small, as a function of the values."""
+
+    weigh: Weigh
+    """Elementwise map $w$ from values to residuals."""
+    lead: Float[Array, " m"]
+    """Weight $l$ of each value as it stands."""
+
+    def __call__(self, values: Float[Array, " m"]) -> Scalar:
+        """Half the sum of squares of the residuals, and the leading values."""
+        return 0.5 * jnp.sum(self.weigh(values) ** 2) + self.lead @ values
+
+    def noise(self, values: Float[Array, " m"]) -> Scalar:
+        """What of the merit is rounding."""
+        size = 0.5 * jnp.sum(self.weigh(values) ** 2) + jnp.abs(self.lead @ values)
+        return NOISE * jnp.finfo(values.dtype).eps * size
+
+    def pull(self, values: Float[Array, " m"]) -> Float[Array, " m"]:
+        """Derivative with respect to the values: their multipliers."""
+        rows, slope = jax.jvp(self.weigh, (values,), (jnp.ones_like(values),))
+        return slope * rows + self.lead
 
 
 def projected(point, gradient, lower, upper) -> Float[Array, " n"]:
@@ -41,7 +61,7 @@ def positive(number: Float[Array, "..."]) -> Float[Array, "..."]:
 
 
 def least_of_model(
-    weigh: Weigh,
+    merit: Merit,
     values: Float[Array, " m"],
     jacobian: Float[Array, "m n"],
     curvature: Float[Array, "n n"],
@@ -50,12 +70,11 @@ def least_of_model(
 ) -> tuple[Float[Array, " n"], Scalar]:
     r"""Step to the least point found of the model in a box, and the model's change.
 
-    $m(d) = \tfrac12 |w(v + J d)|^2 + \tfrac12 d^T S d$, by projected Newton steps on the
-    variables that do not push against the box. Where the model is not convex the
-    eigenvalues are taken positive, so that every step goes down.
+    By projected Newton steps on the variables that do not push against the box. Where the
+    model is not convex the eigenvalues are taken positive, so that every step goes down.
 
     Args:
-        weigh: Elementwise map $w$ from values to residuals.
+        merit: What is made small, of the values.
         values: The values $v$ at the present point.
         jacobian: Their derivative $J$.
         curvature: The curvature $S$ that $J$ does not show.
@@ -66,15 +85,17 @@ def least_of_model(
         The step, and the change of the model, at most 0.
     """
     lengths = jnp.asarray([0.5**k for k in range(HALVINGS)], values.dtype)
+    lead = jacobian.T @ merit.lead
 
     def model(step):
-        rows = weigh(values + jacobian @ step)
-        return 0.5 * jnp.sum(rows**2) + 0.5 * step @ (curvature @ step)
+        rows = merit.weigh(values + jacobian @ step)
+        return 0.5 * jnp.sum(rows**2) + lead @ step + 0.5 * step @ (curvature @ step)
 
     def descend(carry):
         step, best, _, count = carry
-        rows, slope = jax.jvp(weigh, (values + jacobian @ step,), (jnp.ones_like(values),))
-        gradient = jacobian.T @ (slope * rows) + curvature @ step
+        there = values + jacobian @ step
+        rows, slope = jax.jvp(merit.weigh, (there,), (jnp.ones_like(values),))
+        gradient = jacobian.T @ (slope * rows) + lead + curvature @ step
         stuck = ((step <= low) & (gradient >= 0)) | ((step >= high) & (gradient <= 0))
         free = ~stuck[:, None] & ~stuck[None, :]
         scaled = slope[:, None] * jacobian
@@ -103,7 +124,7 @@ def least_of_model(
         return step, jnp.where(better, found[pick], best), ~better, count + 1
 
     start = model(jnp.zeros_like(low))
-    noise = NOISE * jnp.finfo(start.dtype).eps * start
+    noise = merit.noise(values)
     step, best, _, _ = jax.lax.while_loop(
         lambda carry: ~carry[2] & (carry[3] < STEPS),
         descend,

@@ -1,7 +1,8 @@
-"""Penalty: the user's problem as the least-squares problem of one outer step.
+"""Penalty: the user's problem as the problem without constraints of one outer step.
 
-Residuals, inequalities and equalities travel as one flat vector of values in the user's
-units; scales, multipliers and penalties turn it into rows whose squares are summed.
+Residuals, objective, inequalities and equalities travel as one flat vector of values in the
+user's units; scales, multipliers and penalties turn it into rows whose squares are summed,
+and the objective is added as it stands.
 """
 
 from collections.abc import Callable
@@ -16,6 +17,8 @@ from .box import BoxState
 from .model import positive, projected
 
 
+LARGEST = 1e8  # penalties and multipliers over the first penalty
+LEEWAY = 1e-2  # first leeway, in lengths of the unknowns
 PENALTY = 10.0  # first penalty, over the objective's steepness or curvature at the start
 
 
@@ -28,47 +31,84 @@ class Duals(eqx.Module):
     """Multipliers of the scaled constraints, lambda and nu."""
     penalty: Float[Array, " c"]
     """Penalties of the scaled constraints, mu."""
+    most: Scalar
+    """Largest penalty and multiplier: above, rounding reigns."""
+    leeway: Scalar
+    """Scaled violation that is left to the multipliers; see `steering`."""
     restoring: Bool[Array, ""]
     """Whether only the violation counts."""
+    measuring: Bool[Array, ""]
+    """Whether it then counts in the user's units, not in the scaled ones."""
 
 
 class Problem(eqx.Module):
     """How the user's problem lies in flat vectors, and the box.
 
-    Values stand in the order residuals, inequalities, equalities.
+    Values stand in the order residuals, objectives, inequalities, equalities.
     """
 
     residuals: int = eqx.field(static=True)
+    objectives: int = eqx.field(static=True)
     inequalities: int = eqx.field(static=True)
+    constraints: int = eqx.field(static=True)
+    """Inequalities and equalities."""
+    unit: Float[Array, " c"]
+    """What one unit of violation is, where the violation is all that counts."""
     lower: Float[Array, " n"]
     upper: Float[Array, " n"]
     width: Float[Array, " n"]
     place: Callable[[Float[Array, " n"]], PyTree] = eqx.field(static=True)
     """From flat unknowns to the user's structure."""
     sort: Callable[[Float[Array, " m"]], tuple] = eqx.field(static=True)
-    """From flat values to the user's three structures."""
+    """From flat values to the user's four structures."""
+
+    @property
+    def plain(self) -> int:
+        """How many values are no constraints."""
+        return self.residuals + self.objectives
 
     def split(self, values):
-        """Residuals, constraints, and which of the constraints are inequalities."""
-        constraints = values[self.residuals :]
-        return values[: self.residuals], constraints, self.hinged(constraints)
+        """What is no constraint, constraints, and which of these are inequalities."""
+        constraints = values[self.plain :]
+        return values[: self.plain], constraints, self.hinged()
 
-    def hinged(self, constraints) -> Bool[Array, " c"]:
+    def hinged(self) -> Bool[Array, " c"]:
         """Which of the constraints are inequalities."""
-        return jnp.arange(constraints.size) < self.inequalities
+        return jnp.arange(self.constraints) < self.inequalities
 
     def weigh(self, values: Float[Array, " m"], duals: Duals) -> Float[Array, " m"]:
         """Residuals of the inner problem."""
         plain, constraints, hinged = self.split(values)
-        scaled, root = constraints / duals.scale, jnp.sqrt(duals.penalty)
+        scaled, root = constraints / self.measure(duals), jnp.sqrt(duals.penalty)
         rows = jnp.where(duals.restoring, scaled, root * scaled + duals.multiplier / root)
-        plain = jnp.where(duals.restoring, 0.0, plain)
+        square = ~duals.restoring & (jnp.arange(plain.size) < self.residuals)
+        plain = jnp.where(square, plain, 0.0)
         return jnp.concatenate([plain, jnp.where(hinged & (rows < 0), 0.0, rows)])
+
+    def lead(self, duals: Duals) -> Float[Array, " m"]:
+        """Weights of the values that count as they stand in the inner problem."""
+        index = jnp.arange(self.plain + self.constraints)
+        objective = (index >= self.residuals) & (index < self.plain)
+        one = jnp.ones((), duals.scale.dtype)
+        return jnp.where(objective & ~duals.restoring, one, 0.0)
+
+    def measure(self, duals: Duals) -> Float[Array, " c"]:
+        """What a violation of one is at present, in the units of each constraint."""
+        return jnp.where(duals.measuring, self.unit, duals.scale)
+
+    def excess(self, values: Float[Array, " m"]) -> Float[Array, " c"]:
+        """Constraints as far as they are violated, in their units."""
+        _, constraints, hinged = self.split(values)
+        return jnp.where(hinged & (constraints < 0), 0.0, constraints)
 
     def breach(self, values: Float[Array, " m"], duals: Duals) -> Float[Array, " c"]:
         """Scaled constraints as far as they are violated."""
-        _, constraints, hinged = self.split(values)
-        return jnp.where(hinged & (constraints < 0), 0.0, constraints) / duals.scale
+        return self.excess(values) / duals.scale
+
+    def objective(self, values: Float[Array, " m"]) -> Scalar:
+        """Half the sum of squares of the residuals, and the objective."""
+        squares = 0.5 * jnp.sum(values[: self.residuals] ** 2)
+        return squares + jnp.sum(values[self.residuals : self.plain])
 
     def descent(self, x: PyTree, gradient: Float[Array, " n"]) -> Scalar:
         """Largest entry of the step of steepest descent in the box, in its widths."""
@@ -78,25 +118,29 @@ class Problem(eqx.Module):
 
     def first(self, state: BoxState) -> tuple[Duals, Scalar]:
         """Scales and penalties, from the values and slopes at the start."""
-        plain, constraints, _ = self.split(state.values)
+        _, constraints, _ = self.split(state.values)
+        residual = state.values[: self.residuals]
         free = jnp.where(self.upper > self.lower, 1.0, 0.0)
         jacobian = state.jacobian * free[None, :]
-        slope = jnp.max(jnp.abs(jacobian[self.residuals :]), axis=1)
+        slope = jnp.max(jnp.abs(jacobian[self.plain :]), axis=1)
         # a constraint that is flat at the start, or saturated there, has its size for scale
         scale = positive(jnp.maximum(slope, 1e-2 * jnp.abs(constraints)))
         duals = Duals(
             scale=scale,
             multiplier=jnp.zeros_like(scale),
             penalty=jnp.ones_like(scale),
+            most=jnp.ones((), scale.dtype),
+            leeway=jnp.full((), LEEWAY, scale.dtype),
             restoring=jnp.array(False),
+            measuring=jnp.array(False),
         )
-        jacobian = jacobian[: self.residuals]
-        steep = jnp.maximum(jnp.sum(jacobian**2), jnp.max(jnp.abs(plain @ jacobian)))
+        rows, single = jacobian[: self.residuals], jacobian[self.residuals : self.plain]
+        slope = residual @ rows + jnp.sum(single, axis=0)
+        steep = jnp.maximum(jnp.sum(rows**2), jnp.max(jnp.abs(slope)))
         # far from the feasible set the steepness says little: there, balance the two sums
-        objective = jnp.maximum(1.0, 0.5 * jnp.sum(plain**2))
+        objective = jnp.maximum(1.0, jnp.abs(self.objective(state.values)))
         violation = 0.5 * jnp.sum(self.breach(state.values, duals) ** 2)
         balance = jnp.where(violation > 0, objective / positive(violation), jnp.inf)
         penalty = PENALTY * jnp.minimum(positive(steep), balance)
-        return eqx.tree_at(
-            lambda d: d.penalty, duals, jnp.full_like(scale, penalty)
-        ), penalty
+        penalties = jnp.full_like(scale, penalty), LARGEST * penalty
+        return eqx.tree_at(lambda d: (d.penalty, d.most), duals, penalties), penalty
