@@ -11,7 +11,9 @@ import pytest
 # All of `files` is one place: its modules read each other in any order.
 FLOORS = """
 units parts
-path.surface path.corner path.guide path.trochoid path.toolpath path
+path.surface path.asphere path.nurbs path.soundness path.even
+path.corner path.guide path.polyline path.involute path.families
+path.trochoid path.toolpath path
 machine.kinematics machine.sweep machine.feed machine.loop machine
 contact.pressure contact.removal contact.ripple contact
 texture.filters texture.areal texture.hybrid texture.lay texture.spatial texture.functional
