@@ -12,7 +12,7 @@ import pytest
 FLOORS = """
 units parts
 path.surface path.asphere path.nurbs path.soundness path.even
-path.corner path.guide path.polyline path.involute path.families
+path.corner path.guide path.polyline path.involute path.families path.revolution
 path.trochoid path.toolpath path
 machine.kinematics machine.sweep machine.feed machine.loop machine
 contact.pressure contact.removal contact.ripple contact

@@ -34,6 +34,7 @@ from ..path.families import (
 )
 from ..path.guide import Guide
 from ..path.nurbs import fit_nurbs, nurbs
+from ..path.revolution import peano_revolution
 from ..path.soundness import check_surface
 from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
 from ..plan import Plan
@@ -120,10 +121,11 @@ def job(config: StepConfig, first: bool = True) -> Job:
     goals = {k: v for k, v in aims.items() if v is not None}
     margin = internal(config.texture)["margin"]
     target = {k: Goal(v.value, v.tolerance, v.at == "worst") for k, v in goals.items()}
+    made_surface = surface(config, size)
     made = jobs.Setup(
-        surface=surface(config, size),
+        surface=made_surface,
         size=size,
-        guide=guide(config),
+        guide=guide(config, made_surface),
         tool=tool(config),
         abrasive=abrasive(config.abrasive),
         machine=machine(config),
@@ -212,8 +214,12 @@ def fitted(given: dict[str, Any], sides: tuple[float, float]):
     return fit_nurbs(points, given["control_points"], given["degrees"], sides)
 
 
-def guide(config: StepConfig) -> Guide:
+def guide(config: StepConfig, surface) -> Guide:
     """The guide curve.
+
+    Args:
+        config: A checked config.
+        surface: The part's surface.
 
     Raises:
         ValueError: if the part or the fillet leaves no room for it.
@@ -227,6 +233,12 @@ def guide(config: StepConfig) -> Guide:
             return hilbert_rectangle(asked.count, size, *rounded)
         case "peano":
             return peano(asked.order, size, *rounded)
+        case "peano_round":
+            sides, outer = jnp.asarray(size, dtype=float), min(size) / 2
+            length, closed = internal(asked)["segment"], asked.closed
+            return peano_revolution(
+                surface, sides, length, outer, 0.0, None, closed, *rounded
+            )
         case "hatch":
             angle = internal(asked)["angle"]
             return hatch(asked.count, size, asked.repeats, angle, *rounded)
@@ -244,8 +256,8 @@ def geometry(config: StepConfig) -> str:
         config: A checked config.
     """
     try:
-        surface(config, jnp.asarray(config.part.size_mm, dtype=float))
-        guide(config)
+        made = surface(config, jnp.asarray(config.part.size_mm, dtype=float))
+        guide(config, made)
     except ValueError as error:
         return str(error)
     return ""

@@ -310,7 +310,7 @@ def described(config: StepConfig, measured: str = "") -> str:
         kind += f", {len(part.net_mm)} x {len(part.net_mm[0])} control points"
     if isinstance(part, PointGrid):
         kind += f" {part.file}"
-    keys = ("order", "count", "turns", "repeats", "angle_deg")
+    keys = ("order", "count", "turns", "repeats", "angle_deg", "segment_mm")
     density = ", ".join(
         f"{word(key)} {quantity(key, getattr(guide, key))}"
         for key in keys

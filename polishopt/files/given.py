@@ -381,6 +381,16 @@ class Peano(Guide):
     """Order of the curve: 3^order cells along the shorter side."""
 
 
+class PeanoRound(Guide):
+    """A Peano-like path round the middle of a plane, a sphere cap or an asphere."""
+
+    family: Literal["peano_round"]
+    segment_mm: Annotated[float, Between("(0, 500]")]
+    """Length of the segments on the part, p; there are 2/p of path on an area."""
+    closed: bool = False
+    """Whether a way back leads to the start; the vertex then stays free."""
+
+
 class Lines(Guide):
     """Parallel lines."""
 
@@ -415,6 +425,6 @@ class Spiral(Guide):
 
 
 Family = Annotated[
-    Hilbert | HilbertRectangle | Peano | Lines | Hatch | Spiral,
+    Hilbert | HilbertRectangle | Peano | PeanoRound | Lines | Hatch | Spiral,
     Field(discriminator="family"),
 ]

@@ -5,6 +5,7 @@ is reported before JAX is loaded.
 """
 
 import json
+import math
 import re
 import sys
 from typing import Annotated, Any, Literal
@@ -22,6 +23,7 @@ from .given import (
     Machine,
     Part,
     Peano,
+    PeanoRound,
     Section,
     Tool,
     named,
@@ -189,6 +191,28 @@ class StepConfig(Section):
         elif isinstance(guide, Peano) and 9**guide.order * ratio > MAX_CELLS:
             sentence = f"must be lower: there would be over {MAX_CELLS} cells"
             reject((("guide", "order"), sentence, guide.order))
+        elif isinstance(guide, PeanoRound):
+            if self.part.surface not in ("plane", "sphere_cap", "asphere"):
+                wrong = (
+                    "must be another one here: this one needs a surface of revolution, a "
+                    "plane, sphere_cap or asphere"
+                )
+            elif guide.even:
+                reject(
+                    (
+                        ("guide", "even"),
+                        "must be left out: this path is even as it is",
+                        True,
+                    )
+                )
+            elif math.pi * min(x, y) ** 2 / 2 / guide.segment_mm**2 > 2 * MAX_CELLS:
+                sentence = f"must be longer: there would be over {MAX_CELLS} segments"
+                reject((("guide", "segment_mm"), sentence, guide.segment_mm))
+            elif guide.segment_mm > min(x, y) / 6:
+                sentence = (
+                    f"must be at most a sixth of the shorter side, {min(x, y) / 6:.4g} mm"
+                )
+                reject((("guide", "segment_mm"), sentence, guide.segment_mm))
         if wrong:
             reject((("guide", "family"), wrong, guide.family))
         return self

@@ -19,6 +19,7 @@ from .guide import (
 )
 from .nurbs import Nurbs as Nurbs, fit_nurbs as fit_nurbs, nurbs as nurbs
 from .polyline import polyline as polyline
+from .revolution import peano_revolution as peano_revolution
 from .soundness import check_surface as check_surface
 from .surface import (
     HyperbolicParaboloid as HyperbolicParaboloid,
