@@ -392,8 +392,8 @@ def test_hilbert_on_a_rectangle_is_laid_out_in_its_cells():
 
 
 def turns_of(guide):
-    edges = np.diff(np.asarray(guide.vertices), axis=0)
-    return edges, np.einsum("ij,ij->i", edges[1:], edges[:-1])
+    edges = jnp.diff(guide.vertices, axis=0)
+    return edges, jnp.sum(edges[1:] * edges[:-1], axis=1)
 
 
 @pytest.mark.parametrize(("order", "size"), [(1, SQUARE), (2, SQUARE), (3, (15.0, 60.0))])

@@ -205,7 +205,8 @@ def cad_surface(given: dict[str, Any], sides: tuple[float, float]):
         inner = np.linspace(0.0, 1.0, net.shape[i] - degree + 1)
         plain = np.concatenate([np.zeros(degree), inner, np.ones(degree)])
         knots.append(plain if given[name] is None else np.asarray(given[name], dtype=float))
-    return nurbs(net, (knots[0], knots[1]), given["degrees"], sides, given["weights"])
+    weights = None if given["weights"] is None else np.asarray(given["weights"])
+    return nurbs(net, (knots[0], knots[1]), given["degrees"], sides, weights)
 
 
 def fitted(given: dict[str, Any], sides: tuple[float, float]):

@@ -6,6 +6,8 @@ derivatives follow by automatic differentiation, with the span held: they are ex
 a knot those of the span that begins there. Beyond the ends the last span goes on.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -80,7 +82,7 @@ def nurbs(
     net: np.ndarray,
     knots: tuple[np.ndarray, np.ndarray],
     degrees: tuple[int, int],
-    size: np.ndarray | tuple[float, float],
+    size: np.ndarray | Sequence[float | int],
     weights: np.ndarray | None = None,
 ) -> Nurbs:
     """A NURBS surface, checked.
@@ -144,7 +146,7 @@ def fit_nurbs(
     points: np.ndarray,
     counts: tuple[int, int],
     degrees: tuple[int, int] = (3, 3),
-    size: np.ndarray | tuple[float, float] | None = None,
+    size: np.ndarray | Sequence[float | int] | None = None,
 ) -> Nurbs:
     """The B-spline surface nearest to a grid of measured points, by least squares.
 
