@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from polishopt.chain import polish
 from polishopt.files.assemble import job
 from polishopt.files.config import load
-from polishopt.path.guide import hilbert
+from polishopt.path.families import hilbert
 
 
 jax.config.update("jax_enable_x64", True)

@@ -97,13 +97,15 @@ class Stations(eqx.Module):
     """The process at stations along the guide (k), and phases of the loop there (j)."""
 
     weight: Float[Array, "*k"]
-    """Length of guide that a station stands for [mm]."""
+    """Length of guide, run in contact, that a station stands for [mm]."""
     pace: Float[Array, "*k j"]
     """Time per length of guide [s/mm]."""
     dwell: Float[Array, "*k j"]
     """Time that a station and phase stand for, one pass [s]."""
     length: Float[Array, "*k j"]
     """Contact path that they stand for, one pass [mm]."""
+    idle: Float[Array, "*k"]
+    """Time on the way with the tool lifted, which no dwell counts, one pass [s]."""
     curvature: Float[Array, "*k 2 2"]
     """Normal curvature of the part along (feed, left), averaged over the loop [1/mm]."""
     force: Float[Array, "*k"]
@@ -195,6 +197,9 @@ def along(process: Process, setup: Setup) -> Stations:
         place, tangent, dq, ddq = jax.vmap(at, in_axes=(None, 0))(s, phases)
         rate = jnp.sqrt(jnp.sum(tangent**2, axis=1))
         speed = loop_rate(dq, ddq, rate, spacing, process.feed, limits)
+        contact = setup.guide(s).contact
+        idle = jnp.sum((1 - contact) * weight / count / speed)
+        weight = contact * weight
         dwell = weight / count / speed
         mean_bend = jnp.mean(jax.vmap(bend)(place), axis=0)
         nodes = footing(mean_bend) if level is None else level
@@ -207,8 +212,9 @@ def along(process: Process, setup: Setup) -> Stations:
             pace=1 / speed,
             dwell=dwell,
             length=weight / count * rate,
+            idle=idle,
             curvature=mean_bend,
-            force=nodes.force,
+            force=jnp.where(contact > 0, nodes.force, 0.0),
             area=nodes.contact_area,
             kept=jnp.sum(volumes * fraction_inside(points, grid)),
             points=points,
@@ -259,7 +265,7 @@ def mechanics(process: Process, setup: Setup) -> Mechanics:
     waves = _ripple(process, setup, path)
     total = jnp.sum(path.volumes)
     inside = _share(jnp.sum(path.kept), total)
-    density = setup.guide.length / part_area * inside
+    density = setup.guide.contact_length / part_area * inside
     passed = 1 - gaussian_transmission(waves.wavelengths, setup.roughness_cutoff)
     bare, _ = waves.moments(density)
     second, fourth = waves.moments(density, passed)
@@ -272,7 +278,8 @@ def mechanics(process: Process, setup: Setup) -> Mechanics:
         process, setup, path.curvature, path.force
     )
 
-    time = process.passes * jnp.sum(path.dwell)
+    dwell = process.passes * jnp.sum(path.dwell)
+    time = dwell + process.passes * jnp.sum(path.idle)
     length = process.passes * jnp.sum(path.length)
     return Mechanics(
         force=force,
@@ -284,7 +291,7 @@ def mechanics(process: Process, setup: Setup) -> Mechanics:
         ),
         envelope=envelope(setup.tool.radius, process),
         time=time,
-        feed=length / time,
+        feed=length / dwell,
         path_length=length,
         mean_removal=mean_removal,
         removal=removal,

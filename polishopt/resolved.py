@@ -129,6 +129,7 @@ def removal(
     """
     half = 0.5 * jnp.diff(path.law.time)
     dwell = process.passes * (jnp.pad(half, (1, 0)) + jnp.pad(half, (0, 1)))
+    dwell = dwell * jax.vmap(setup.guide)(path.s).contact
     # the path's direction, by central differences of the contact points
     contact = path.posture.contact
     chord = jnp.concatenate([contact[1:], contact[-1:]])

@@ -100,9 +100,23 @@ def begin(parser: argparse.ArgumentParser, argv: list[str] | None) -> Asked | in
             print(describe(loaded))
         return 0
     target = given.output or Path("runs") / given.config.stem
+    shaped = loaded.config.part.surface in ("asphere", "nurbs", "point_grid")
+    plain = loaded.config.guide.family in ("hilbert", "lines")
+    if not shaped and plain and not loaded.config.guide.even:
+        if not folder(target):
+            return BAD_INPUT
+        prepare(not given.no_cache)
+        return Asked(given, loaded, target)
+    prepare(not given.no_cache)
+    from .files.assemble import geometry
+
+    for name, config in loaded.steps or (("", loaded.config),):
+        if wrong := geometry(config):
+            where = f", step {name}" if name else ""
+            print(f"{given.config}{where}: {wrong}", file=sys.stderr)
+            return BAD_INPUT
     if not folder(target):
         return BAD_INPUT
-    prepare(not given.no_cache)
     return Asked(given, loaded, target)
 
 

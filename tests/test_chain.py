@@ -18,7 +18,7 @@ from helpers import assert_close
 from polishopt.chain import polish
 from polishopt.files.assemble import job
 from polishopt.files.config import load
-from polishopt.path.guide import hilbert
+from polishopt.path.families import hilbert
 from polishopt.setup import Sampling, Start
 from polishopt.texture.areal import parameters_from_cumulants
 from polishopt.texture.milling import MilledSurface, milled_cumulants, milled_map

@@ -216,7 +216,7 @@ BAD = {
     ),
     "surface_unknown": (
         "sphere_cap", "sphere", 4, 12,
-        "part.surface is 'sphere', must be 'hyperbolic_paraboloid', 'plane' or"
+        "part.surface is 'sphere', must be 'asphere', 'hyperbolic_paraboloid', 'nurbs',"
     ),
     "surface_missing": (
         "  surface: sphere_cap\n", "", 3, 1,
@@ -229,7 +229,7 @@ BAD = {
     ),
     "hilbert_on_a_rectangle": (
         "size_mm: [50, 50]", "size_mm: [50, 40]", 11, 11,
-        "guide.family is 'hilbert', must be 'lines' here: a Hilbert curve needs a square",
+        "guide.family is 'hilbert', must be 'hilbert_rectangle' here: a Hilbert curve",
     ),
     "family_unknown": ("hilbert", "hilbrt", 11, 11, "did you mean 'hilbert'?"),
     "corner_unknown": (

@@ -11,7 +11,9 @@ import pytest
 # All of `files` is one place: its modules read each other in any order.
 FLOORS = """
 units stored parts
-path.surface path.corner path.guide path.trochoid path.toolpath path
+path.surface path.asphere path.nurbs path.soundness path.even
+path.corner path.guide path.polyline path.involute path.families path.revolution
+path.trochoid path.toolpath path
 machine.kinematics machine.route machine.sweep machine.feed machine.exact machine.loop
 machine.shape machine.banded machine.interior machine.jerk machine.jerk_exact machine.usage
 machine

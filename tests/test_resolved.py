@@ -19,7 +19,7 @@ from polishopt.files.assemble import job
 from polishopt.files.config import load
 from polishopt.machine.kinematics import inverse
 from polishopt.machine.usage import usage
-from polishopt.path.guide import hilbert, lines
+from polishopt.path.families import hilbert, lines
 from polishopt.path.surface import Plane, SphereCap
 from polishopt.path.toolpath import posture
 from polishopt.resolved import removal, run, samples

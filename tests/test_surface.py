@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from helpers import assert_close, assert_gradient
 from polishopt.path import (
+    Asphere,
     HyperbolicParaboloid,
     Plane,
     SphereCap,
     area_stretch,
+    check_surface,
     curvature,
     jacobian,
     metric,
@@ -25,6 +27,7 @@ SURFACES = {
     "convex": SphereCap(SIZE, 100.0),
     "concave": SphereCap(SIZE, -80.0),
     "saddle": HyperbolicParaboloid(SIZE, 5e-3),
+    "asphere": Asphere(SIZE, -120.0, -1.3, [2e-7, -3e-10]),
 }
 POINTS = jnp.asarray(np.random.default_rng(0).uniform((0, 0), SIZE, (4, 2)))
 
@@ -162,3 +165,46 @@ def test_gradient_through_everything():
         return jnp.append(k, area_stretch(surface, x[:2]))
 
     assert_gradient(measures, jnp.asarray([10.0, 33.0, 90.0]))
+
+
+def test_asphere():
+    """A sphere for k = 0; a paraboloid's curvatures in closed form for k = -1."""
+    for xy in POINTS:
+        assert_close(Asphere(SIZE, 100.0)(xy), SURFACES["convex"](xy), atol=1e-13)
+    bowl = Asphere(SIZE, -80.0, -1.0)
+    for xy in POINTS:
+        at = measure(bowl, xy)
+        square = np.sum((np.asarray(xy) - np.asarray(SIZE) / 2) ** 2)
+        assert_close(at["point"][2], square / 160, rtol=1e-13)
+        steep = 1 + square / 80**2
+        assert_close(np.linalg.det(at["k"]), 1 / (80 * steep) ** 2, rtol=1e-10)
+        assert_close(bowl.slope(jnp.sqrt(square)), np.sqrt(square) / 80, rtol=1e-12)
+    r = 17.0
+    terms = Asphere(SIZE, 1e9, 0.0, [2e-6, -3e-9])
+    at = jnp.asarray([25.0 + r, 20.0])
+    assert_close(terms(at)[2], -(2e-6 * r**4 - 3e-9 * r**6) - r**2 / 2e9, rtol=1e-9)
+
+
+def torn(xy):
+    return jnp.append(xy, jnp.where(xy[0] > 40, jnp.nan, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("surface", "says"),
+    [
+        (torn, "no value at"),
+        (lambda xy: jnp.stack([xy[0], xy[0], 0 * xy[1]]), "no area at"),
+        (lambda xy: jnp.stack([(xy[0] - 23.3) ** 2, xy[1], 0 * xy[1]]), "folds over"),
+        (SphereCap(SIZE, 30.0), "no value at"),
+    ],
+)
+def test_surfaces_that_cannot_be_polished_are_refused(surface, says):
+    with pytest.raises(ValueError, match=says):
+        check_surface(surface, SIZE)
+
+
+def test_sound_surfaces_are_not_refused():
+    for surface in SURFACES.values():
+        check_surface(surface, SIZE)
+    with pytest.raises(ValueError, match="two sides above 0"):
+        check_surface(SURFACES["plane"], (50.0, 0.0))

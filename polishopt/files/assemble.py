@@ -13,6 +13,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .. import setup as jobs
 from ..constants import roughness_cumulants
@@ -20,7 +21,21 @@ from ..optimize.calibrate import Data
 from ..optimize.goals import Goal, Limits, PlanLimits, mapped
 from ..optimize.runs import followed
 from ..parts import Abrasive, Machine, Process, Scalar, Tool, as_scalar
-from ..path.guide import hilbert, lines
+from ..path.asphere import Asphere
+from ..path.even import even
+from ..path.families import (
+    hatch,
+    hilbert,
+    hilbert_rectangle,
+    lines,
+    peano,
+    round_spiral,
+    spiral,
+)
+from ..path.guide import Guide
+from ..path.nurbs import fit_nurbs, nurbs
+from ..path.revolution import peano_revolution
+from ..path.soundness import check_surface
 from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
 from ..plan import Plan
 from ..stored import stored
@@ -32,6 +47,7 @@ from .asked import Chance
 from .given import Machine as MachineSection
 from .measured import start_map
 from .measurements import Measurements
+from .point_grid import read_points
 from .quantity import Tuned, internal
 from .schema import StepConfig, erring
 
@@ -107,10 +123,11 @@ def job(config: StepConfig, first: bool = True) -> Job:
     goals = {k: v for k, v in aims.items() if v is not None}
     margin = internal(config.texture)["margin"]
     target = {k: Goal(v.value, v.tolerance, v.at == "worst") for k, v in goals.items()}
+    made_surface = surface(config, size)
     made = jobs.Setup(
-        surface=surface(config, size),
+        surface=made_surface,
         size=size,
-        guide=guide(config),
+        guide=guide(config, made_surface),
         tool=tool(config),
         abrasive=abrasive(config.abrasive),
         machine=machine(config.machine),
@@ -154,7 +171,11 @@ def plan_job(steps: Sequence[tuple[str, StepConfig]]) -> PlanJob:
 
 
 def surface(config: StepConfig, size):
-    """The part's surface."""
+    """The part's surface.
+
+    Raises:
+        ValueError: if it is none that can be polished.
+    """
     given = internal(config.part)
     kind = given.pop("surface")
     given["size"] = size
@@ -163,16 +184,86 @@ def surface(config: StepConfig, size):
         "sphere_cap": SphereCap,
         "hyperbolic_paraboloid": HyperbolicParaboloid,
     }
-    return kinds[kind](**given)
+    if kind in kinds:
+        made = kinds[kind](**given)
+    elif kind == "asphere":
+        made = Asphere(size, given["radius"], given["conic"], given["even_terms"])
+        check_surface(made, config.part.size_mm)
+    else:
+        sides = config.part.size_mm
+        made = cad_surface(given, sides) if kind == "nurbs" else fitted(given, sides)
+        check_surface(made, sides)
+    if config.guide.even and kind != "plane":
+        return even(made, size)
+    return made
 
 
-def guide(config: StepConfig):
-    """The guide curve."""
-    asked = config.guide
-    fillet = 0.5 if asked.corner == "sharp" else asked.fillet
-    if asked.family == "hilbert":
-        return hilbert(asked.order, config.part.size_mm, asked.corner, fillet)
-    return lines(asked.count, config.part.size_mm, asked.corner, fillet)
+def cad_surface(given: dict[str, Any], sides: tuple[float, float]):
+    """A NURBS surface from its keys; even knots where none are given."""
+    net = np.asarray(given["net"])
+    knots = []
+    for i, name in enumerate(("u_knots", "v_knots")):
+        degree = given["degrees"][i]
+        inner = np.linspace(0.0, 1.0, net.shape[i] - degree + 1)
+        plain = np.concatenate([np.zeros(degree), inner, np.ones(degree)])
+        knots.append(plain if given[name] is None else np.asarray(given[name], dtype=float))
+    weights = None if given["weights"] is None else np.asarray(given["weights"])
+    return nurbs(net, (knots[0], knots[1]), given["degrees"], sides, weights)
+
+
+def fitted(given: dict[str, Any], sides: tuple[float, float]):
+    """A surface fitted to the points of a file."""
+    points = np.asarray(read_points(given["file"], given["columns"]))
+    return fit_nurbs(points, given["control_points"], given["degrees"], sides)
+
+
+def guide(config: StepConfig, surface) -> Guide:
+    """The guide curve.
+
+    Args:
+        config: A checked config.
+        surface: The part's surface.
+
+    Raises:
+        ValueError: if the part or the fillet leaves no room for it.
+    """
+    asked, size = config.guide, config.part.size_mm
+    rounded = (asked.corner, 0.5 if asked.corner == "sharp" else asked.fillet)
+    match asked.family:
+        case "hilbert":
+            return hilbert(asked.order, size, *rounded)
+        case "hilbert_rectangle":
+            return hilbert_rectangle(asked.count, size, *rounded)
+        case "peano":
+            return peano(asked.order, size, *rounded)
+        case "peano_round":
+            sides, outer = jnp.asarray(size, dtype=float), min(size) / 2
+            length, closed = internal(asked)["segment"], asked.closed
+            return peano_revolution(
+                surface, sides, length, outer, 0.0, None, closed, *rounded
+            )
+        case "hatch":
+            angle = internal(asked)["angle"]
+            return hatch(asked.count, size, asked.repeats, angle, *rounded)
+        case "spiral":
+            if asked.shape == "round":
+                return round_spiral(asked.turns, size)
+            return spiral(asked.turns, size, *rounded)
+    return lines(asked.count, size, *rounded, asked.one_way)
+
+
+def geometry(config: StepConfig) -> str:
+    """What is wrong with the part or the guide that only shows when they are made, or ''.
+
+    Args:
+        config: A checked config.
+    """
+    try:
+        made = surface(config, jnp.asarray(config.part.size_mm, dtype=float))
+        guide(config, made)
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def tool(config: StepConfig) -> Tool:

@@ -26,10 +26,11 @@ from .document import (
     survey,
     write_text as write_text,
 )
-from .given import Hilbert, Plane
+from .given import Lines, Nurbs, PointGrid
 from .library import SHELVES, filled, names
 from .override import override
 from .place import Located, problems_in
+from .point_grid import PointGridError, read_points
 from .quantity import Tuned, internal as internal
 from .schema import Config, StepConfig, erring, json_schema as json_schema
 from .sentence import did_you_mean, shown, typed
@@ -83,7 +84,8 @@ def check(text: str, path: Path, overrides: Sequence[str] = ()) -> Loaded:
     origin = override(document, overrides)
     place = Located(str(path), text, survey(document, str(path)), origin)
     data, unknown = filled(place.found.data)
-    name = root_start_file(data, path.parent)
+    name = root_file(data, "start", path.parent)
+    root_file(data, "part", path.parent)
 
     problems = [
         place.problem(keys, f"{shown(keys)} has no value", at_key=True)
@@ -130,6 +132,18 @@ def check(text: str, path: Path, overrides: Sequence[str] = ()) -> Loaded:
             measured = f"{name}: {sentence}"
         except TopographyError as error:
             problems.append(place.problem(("start", "file"), f"start.file: {error}"))
+    part = config.part
+    if isinstance(part, PointGrid):
+        try:
+            rows = len(read_points(part.file, part.columns))
+            if part.control_points[0] > rows or part.control_points[1] > part.columns:
+                sentence = (
+                    f"part.control_points must not exceed the points, {rows} rows of "
+                    f"{part.columns}"
+                )
+                problems.append(place.problem(("part", "control_points"), sentence))
+        except PointGridError as error:
+            problems.append(place.problem(("part", "file"), f"part.file: {error}"))
     if problems:
         raise ConfigError(unique(problems))
     return Loaded(config, document, path, text, measured, tuple(steps))
@@ -185,18 +199,19 @@ def unique(problems: Sequence[Problem]) -> list[Problem]:
     return list(dict.fromkeys(problems))
 
 
-def root_start_file(data: Any, folder: Path) -> str:
-    """Makes the path of a start surface one that starts at a folder; returns it as typed.
+def root_file(data: Any, section: str, folder: Path) -> str:
+    """Makes the path of a file in a section start at a folder; returns it as typed.
 
     Args:
         data: The plain values of a config, changed in place.
+        section: The section that may name a file.
         folder: Where a relative path starts.
     """
-    start = data.get("start")
-    name = start.get("file") if isinstance(start, dict) else None
+    inside = data.get(section)
+    name = inside.get("file") if isinstance(inside, dict) else None
     if not isinstance(name, str):
         return ""
-    start["file"] = str(folder / name)
+    inside["file"] = str(folder / name)
     return name
 
 
@@ -238,6 +253,8 @@ def optimum(
     surface = loaded.config.start.file
     if folder is not None and surface is not None:
         document["start"]["file"] = seen_from(surface, folder)
+    if folder is not None and isinstance(loaded.config.part, PointGrid):
+        document["part"]["file"] = seen_from(loaded.config.part.file, folder)
     return dump(document)
 
 
@@ -286,12 +303,23 @@ def described(config: StepConfig, measured: str = "") -> str:
     part, tool, guide = config.part, config.tool, config.guide
     sides = " x ".join(f"{side:g}" for side in part.size_mm)
     kind = part.surface.replace("_", " ")
-    if not isinstance(part, Plane):
-        shape, value = list(part)[-1]
-        kind += f", {word(shape)} {quantity(shape, value)}"
-    density = (
-        f"order {guide.order}" if isinstance(guide, Hilbert) else f"{guide.count} lines"
+    for key in ("radius_mm", "conic", "twist_1_mm"):
+        if hasattr(part, key):
+            kind += f", {word(key)} {quantity(key, getattr(part, key))}"
+    if isinstance(part, Nurbs):
+        kind += f", {len(part.net_mm)} x {len(part.net_mm[0])} control points"
+    if isinstance(part, PointGrid):
+        kind += f" {part.file}"
+    keys = ("order", "count", "turns", "repeats", "angle_deg", "segment_mm")
+    density = ", ".join(
+        f"{word(key)} {quantity(key, getattr(guide, key))}"
+        for key in keys
+        if hasattr(guide, key)
     )
+    if isinstance(guide, Lines):
+        density = f"{guide.count} lines" + (" one way" if guide.one_way else "")
+    density += ", even by area" if guide.even else ""
+    family = guide.family.replace("_", " ")
     start = [key for key, value in config.start if value is not None]
     goals = [
         f"{word(key)} {goal.value:g} ± {goal.tolerance:g} {label(suffix(key))}".rstrip()
@@ -323,7 +351,7 @@ def described(config: StepConfig, measured: str = "") -> str:
         ),
         ("abrasive", f"{config.abrasive.preset or 'own'}, grain {grain}"),
         ("machine", config.machine.preset or "own"),
-        ("guide", f"{guide.family}, {density}, {guide.corner} corners, {guide.mode}"),
+        ("guide", f"{family}, {density}, {guide.corner} corners, {guide.mode}"),
         *((word(key), quantity(key, value)) for key, value in config.process),
         ("start", measured or ", ".join(start)),
         ("target", ", ".join(goals) or "none"),

@@ -5,6 +5,7 @@ is reported before JAX is loaded.
 """
 
 import json
+import math
 import re
 import sys
 from typing import Annotated, Any, Literal
@@ -12,7 +13,21 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, model_validator
 
 from .asked import Chance, Limits, Process, Start, Target
-from .given import Abrasive, Hilbert, Lines, Machine, Part, Section, Tool, named
+from .given import (
+    Abrasive,
+    Family,
+    Hatch,
+    Hilbert,
+    HilbertRectangle,
+    Lines,
+    Machine,
+    Part,
+    Peano,
+    PeanoRound,
+    Section,
+    Tool,
+    named,
+)
 from .programmed import Program
 from .quantity import Between, Tuned, reject
 
@@ -21,6 +36,8 @@ from .quantity import Between, Tuned, reject
 MERGED = ("process", "limits", "program")
 REPLACED = ("tool", "abrasive", "guide", "target", "texture", "sampling")
 
+# the most cells of a guide: those of a Hilbert curve of the highest order
+MAX_CELLS = 4**7
 # where the constants stand that may have an error
 ERRING = ("tool.", "abrasive.", "start.roughness.")
 # those of them on which it depends whether the disc comes off
@@ -109,7 +126,7 @@ class StepConfig(Section):
     """The abrasive: a preset by name, keys, or a preset with some keys replaced."""
     machine: Annotated[Machine, named("machines")]
     """The machine: a preset by name, keys, or a preset with some keys replaced."""
-    guide: Annotated[Hilbert | Lines, Field(discriminator="family")]
+    guide: Family
     """The curve that the trochoid runs along."""
     process: Process
     """What is set on the machine, and which of it is tuned."""
@@ -152,20 +169,55 @@ class StepConfig(Section):
     @model_validator(mode="after")
     def _guide_fits(self):
         x, y = self.part.size_mm
-        if isinstance(self.guide, Hilbert) and abs(x - y) > 1e-6 * x:
-            reject(
-                (
-                    ("guide", "family"),
-                    f"must be 'lines' here: a Hilbert curve needs a square part, and this "
-                    f"one is {x:g} mm x {y:g} mm",
-                    self.guide.family,
-                )
+        guide, ratio = self.guide, max(x, y) / min(x, y)
+        wrong = ""
+        if isinstance(guide, Hilbert) and abs(x - y) > 1e-6 * x:
+            wrong = (
+                "must be 'hilbert_rectangle' here: a Hilbert curve needs a square part, "
+                f"and this one is {x:g} mm x {y:g} mm"
             )
-        if isinstance(self.guide, Lines) and self.guide.count * x <= y:
+        elif isinstance(guide, Peano) and abs(ratio - round(ratio)) > 1e-6 * ratio:
+            wrong = (
+                "must be another one here: a Peano curve needs a whole number as the ratio "
+                f"of the sides, and this part is {x:g} mm x {y:g} mm"
+            )
+        elif isinstance(guide, Lines | Hatch) and guide.count * x <= y:
             sentence = (
                 f"must be above {y / x:.4g}: lines of {x:g} mm cannot turn in {y:g} mm"
             )
-            reject((("guide", "count"), sentence, self.guide.count))
+            reject((("guide", "count"), sentence, guide.count))
+        elif isinstance(guide, HilbertRectangle) and guide.count**2 * ratio > MAX_CELLS:
+            sentence = f"must be lower: there would be over {MAX_CELLS} cells"
+            reject((("guide", "count"), sentence, guide.count))
+        elif isinstance(guide, HilbertRectangle) and guide.count * round(ratio) < 2:
+            reject((("guide", "count"), "must be 2 or more on this part", guide.count))
+        elif isinstance(guide, Peano) and 9**guide.order * ratio > MAX_CELLS:
+            sentence = f"must be lower: there would be over {MAX_CELLS} cells"
+            reject((("guide", "order"), sentence, guide.order))
+        elif isinstance(guide, PeanoRound):
+            if self.part.surface not in ("plane", "sphere_cap", "asphere"):
+                wrong = (
+                    "must be another one here: this one needs a surface of revolution, a "
+                    "plane, sphere_cap or asphere"
+                )
+            elif guide.even:
+                reject(
+                    (
+                        ("guide", "even"),
+                        "must be left out: this path is even as it is",
+                        True,
+                    )
+                )
+            elif math.pi * min(x, y) ** 2 / 2 / guide.segment_mm**2 > 2 * MAX_CELLS:
+                sentence = f"must be longer: there would be over {MAX_CELLS} segments"
+                reject((("guide", "segment_mm"), sentence, guide.segment_mm))
+            elif guide.segment_mm > min(x, y) / 6:
+                sentence = (
+                    f"must be at most a sixth of the shorter side, {min(x, y) / 6:.4g} mm"
+                )
+                reject((("guide", "segment_mm"), sentence, guide.segment_mm))
+        if wrong:
+            reject((("guide", "family"), wrong, guide.family))
         return self
 
     @model_validator(mode="after")

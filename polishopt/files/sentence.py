@@ -127,7 +127,8 @@ def unknown_key(loc: Keys) -> str:
         unit = suffix(other)
         if unit and stem == other.removesuffix("_" + unit):
             return f"unknown key '{key}'; use '{other}', in {label(unit)}"
-    homes = [name for name in root["properties"] if key in known_keys((name,), root)]
+    others = [name for name in root["properties"] if name != loc[0]]
+    homes = [name for name in others if key in known_keys((name,), root)]
     if homes:
         return f"unknown key '{key}'; it belongs in the section {either(homes)}"
     if near(key, known):

@@ -132,7 +132,7 @@ def finished(runs: Run, setup: Setup) -> Finished:
         total = abrasive.preston * (run.total @ bed)
         removal = passes * kept / run.area
         inside = jnp.where(total > 0, kept / jnp.where(total > 0, total, 1.0), 0.0)
-        density = setup.guide.length / run.area * inside
+        density = setup.guide.contact_length / run.area * inside
         scale = (abrasive.ripple_gain * abrasive.preston * tool.foundation) ** 2
         second, fourth = _linear(lambda beta: _ripple(run, beta), tool.stiffening)
         left = Cumulants(

@@ -1,12 +1,26 @@
 """Path: from the shape of the part to the place and axis of the tool."""
 
+from .asphere import Asphere as Asphere
+from .even import Even as Even, even as even
+from .families import (
+    hatch as hatch,
+    hilbert as hilbert,
+    hilbert_rectangle as hilbert_rectangle,
+    lines as lines,
+    peano as peano,
+    round_spiral as round_spiral,
+    spiral as spiral,
+)
 from .guide import (
     Guide as Guide,
     GuidePoint as GuidePoint,
-    hilbert as hilbert,
-    lines as lines,
-    polyline as polyline,
+    Segments as Segments,
+    segments as segments,
 )
+from .nurbs import Nurbs as Nurbs, fit_nurbs as fit_nurbs, nurbs as nurbs
+from .polyline import polyline as polyline
+from .revolution import peano_revolution as peano_revolution
+from .soundness import check_surface as check_surface
 from .surface import (
     HyperbolicParaboloid as HyperbolicParaboloid,
     Plane as Plane,

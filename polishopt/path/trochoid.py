@@ -39,7 +39,9 @@ def trochoid(
     tangent = jnp.stack([cosine, sine])
     # turning the left normal clockwise by the phase leads to the tangent
     circle = jnp.cos(phase) * left + jnp.sin(phase) * tangent
-    return point.position + step / (2 * jnp.pi) * left + radius * circle
+    # lifted, the tool goes straight back
+    wide = step / (2 * jnp.pi) * left + radius * circle
+    return point.position + point.contact * wide
 
 
 def length_per_loop(step: Scalar, radius: Scalar, curvature: Scalar) -> Scalar:
