@@ -136,6 +136,7 @@ def test_fit_says_what_the_machine_will_make_of_the_path(fitted):
         assert sentence in shown
     assert any(sentence.startswith("One pass takes ") for sentence in said)
     table = DIALECTS["csv"].read((target / "program" / "polish.csv").read_text())
+    assert table.seconds is not None
     minutes = next(float(s.split()[3]) for s in said if s.startswith("One pass"))
     approach = 2 * 20 / 500
     assert np.nansum(table.seconds) / 60 == pytest.approx(minutes + approach, rel=5e-3)
