@@ -103,7 +103,8 @@ def outer_step(
 
     # the inner problem is solved: better multipliers, larger penalties where needed
     near = state.optimality <= jnp.maximum(outer.loose, LOOSE * aim) * size
-    renew = near | stalled(state) | spent
+    # what is good enough and does not get better wants other multipliers
+    renew = near | stalled(state) | spent | (sharp & (polish > 2))
     renew = renew & ~duals.restoring & ~solved & ~lost
     error = jnp.maximum(scaled, -duals.multiplier / duals.penalty)
     error = jnp.abs(jnp.where(hinged, error, scaled))
@@ -166,7 +167,7 @@ def outer_step(
         violation=jnp.where(renew, violation, outer.violation),
         failures=jnp.where(found, 0, failures),
         inner=jnp.where(new_problem, 0, outer.inner + 1),
-        steps=outer.steps + jnp.where(new_problem, 1, 0),
+        steps=outer.steps + jnp.where(new_problem & (polish == 0), 1, 0),
         polish=polish,
         status=jnp.where(lost, Status.NOT_A_NUMBER.value, status),
     )
