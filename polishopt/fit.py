@@ -41,18 +41,17 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
         target: Folder for the results; exists.
         quiet: Whether to print nothing.
     """
-    import equinox as eqx
-
     from . import report
     from .chain import polish
     from .files.assemble import job as assemble
     from .optimize.tune import tune
+    from .stored import stored
 
     told, console, say = _opening(loaded, quiet)
     preload("scipy.stats", "polishopt.plots", "xarray", "h5netcdf")
     job = assemble(loaded.config)
     solver = loaded.config.solver
-    begin = eqx.filter_jit(polish)(job.process, job.setup)
+    begin = stored(polish)(job.process, job.setup)
     say(f"the start gives {report.summary(begin, job)}")
     threading.Thread(target=lambda: _rehearse(job), daemon=True).start()
     with told.status("searching"):
@@ -86,13 +85,12 @@ def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
         target: Folder for the results; exists.
         quiet: Whether to print nothing.
     """
-    import equinox as eqx
-
     from . import plan_report
     from .files.assemble import plan_job
     from .optimize.tune import tune
     from .optimize.uncertainty import plan_spread
     from .plan import follow
+    from .stored import stored
 
     told, console, say = _opening(loaded, quiet)
     job = plan_job(loaded.steps)
@@ -114,7 +112,7 @@ def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
         outcome = tuning.outcome
     else:
         with told.status(f"following {len(loaded.steps)} steps"):
-            outcome = eqx.filter_jit(follow)(job.processes, job.plan)
+            outcome = stored(follow)(job.processes, job.plan)
     spreads = ()
     if any(job.errors):
         with told.status("carrying the errors of the constants"):

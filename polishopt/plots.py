@@ -11,7 +11,6 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,6 +29,7 @@ from .parts import AXES, Process
 from .path.surface import curvature, jacobian, normal
 from .resolved import Run
 from .setup import Setup
+from .stored import stored
 from .texture.local import TextureMaps
 from .units import from_internal, label
 
@@ -42,14 +42,17 @@ SEVERAL = (BLUE, ORANGE, GREEN, PINK, SKY, AMBER)
 MAP = "cividis"
 DPI = 150
 
+
 # each is one compilation where its operations one by one would be many
-_margins = eqx.filter_jit(
-    lambda process, tool: (
-        body_clearance(process, tool),
-        unstick_force(process.tilt, tool),
-    )
-)
-_along = eqx.filter_jit(lambda guide, s: jax.vmap(guide)(s).position)
+@stored
+def _margins(process, tool):
+    return body_clearance(process, tool), unstick_force(process.tilt, tool)
+
+
+@stored
+def _along(guide, s):
+    return jax.vmap(guide)(s).position
+
 
 # What is drawn may come from a calculation or from a file.
 Numbers = Array | np.ndarray
@@ -165,7 +168,7 @@ def contact(process: Process, setup: Setup) -> Figure:
     """
     tool, lean = setup.tool, setup.side
     bend = _bend(setup)
-    draw = eqx.filter_jit(patch)
+    draw = stored(patch)
     footing = draw(process, tool, bend, lean, 48, 48, setup.panels)
 
     figure = Figure((11, 5), layout="constrained")
@@ -203,12 +206,8 @@ def contact(process: Process, setup: Setup) -> Figure:
     critical = here + clearance
     reach = max(1.5 * here, 1.1 * critical)
 
-    def at(displacement):
-        pressed = dataclasses.replace(process, displacement=displacement)
-        return patch(pressed, tool, bend, lean, 16, 8, setup.panels).force
-
     displacements = np.linspace(0.0, reach, 61)
-    forces = np.asarray(eqx.filter_jit(jax.vmap(at))(jnp.asarray(displacements)))
+    forces = np.asarray(_forces(displacements, process, tool, bend, lean, setup.panels))
     against.plot(displacements, forces, color=BLUE, label="force")
     against.plot(here, force, "o", color=BLUE, markersize=8, label="this process")
     if np.isfinite(limit):
@@ -461,7 +460,13 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> Path:
     handle, beside = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
-            figure.savefig(file, format="png", dpi=DPI, metadata={"Software": None})
+            figure.savefig(
+                file,
+                format="png",
+                dpi=DPI,
+                metadata={"Software": None},
+                pil_kwargs={"compress_level": 3},  # a third of the time of the usual 6
+            )
         # a temporary file is for its owner's eyes only; a picture is not
         os.chmod(beside, 0o644)
         os.replace(beside, path)
@@ -511,7 +516,18 @@ def _disc(run: Run, i: int, radius: float) -> np.ndarray:
     return at.xy + (at.tip - at.contact + radius * rim)[:, :2]
 
 
-@eqx.filter_jit
+@stored
+def _forces(displacements, process: Process, tool, bend, lean, panels):
+    """Force at each of several displacements [N]."""
+
+    def at(displacement):
+        pressed = dataclasses.replace(process, displacement=displacement)
+        return patch(pressed, tool, bend, lean, 16, 8, panels).force
+
+    return jax.vmap(at)(jnp.asarray(displacements))
+
+
+@stored
 def _bend(setup: Setup):
     """Curvature in the middle of the part, with the feed along x [1/mm]."""
     middle = setup.size / 2

@@ -13,8 +13,9 @@ from jaxtyping import Array, Float
 
 from .contact.pressure import patch
 from .contact.removal import Grid, deposit, preston_rates
+from .machine.exact import exact_time_law
 from .machine.feed import TimeLaw, time_law
-from .machine.kinematics import inverse_path
+from .machine.kinematics import inverse, inverse_path
 from .parts import Process, Scalar
 from .path.surface import area_stretch, curvature, tangent_to_parameter
 from .path.toolpath import Posture, resolved
@@ -55,7 +56,8 @@ def run(process: Process, setup: Setup, samples: int, phase: Scalar | float = 0.
 
     Samples lie closer where the rotary axes turn: past the pole, where C may turn by half
     a turn within a hundredth of a millimetre, evenly spaced ones would hide how fast.
-    Their places are held fixed when the path is differentiated.
+    Their places are held fixed when the path is differentiated. On a curved part limits
+    are kept between the samples too.
 
     Args:
         process: The settings.
@@ -67,8 +69,8 @@ def run(process: Process, setup: Setup, samples: int, phase: Scalar | float = 0.
     """
     uniform = jnp.arange(samples, dtype=setup.size.dtype) / (samples - 1)
 
-    def placed(s):
-        posture = resolved(
+    def postures(s):
+        return resolved(
             setup.surface,
             setup.guide,
             process,
@@ -78,10 +80,16 @@ def run(process: Process, setup: Setup, samples: int, phase: Scalar | float = 0.
             setup.lean,
             phase,
         )
-        return posture, inverse_path(posture.tip, posture.axis, setup.machine)
+
+    def turning(posture):
+        return inverse_path(posture.tip, posture.axis, setup.machine)
+
+    def place(s):
+        at = jax.tree.map(lambda leaf: leaf[0], postures(s[None]))
+        return inverse(at.tip, at.axis, setup.machine), at.contact
 
     def gather(_, s):
-        _, axes = placed(s)
+        axes = turning(postures(s))
         turned = jnp.sum(jnp.abs(jnp.diff(axes[:, 3:], axis=0)), axis=1)
         share = jnp.diff(s) / setup.guide.length * (samples - 1) + turned / TURN
         total = jnp.pad(jnp.cumsum(share), (1, 0))
@@ -90,10 +98,14 @@ def run(process: Process, setup: Setup, samples: int, phase: Scalar | float = 0.
     s = setup.guide.length * uniform
     if not setup.flat:  # on a plane no axis turns faster than the guide does
         s = jax.lax.stop_gradient(jax.lax.fori_loop(0, ROUNDS, gather, s))
-    posture, axes = placed(s)
+    posture = postures(s)
+    axes = turning(posture)
     chords = jnp.sqrt(jnp.sum(jnp.diff(posture.contact, axis=0) ** 2, axis=1))
     arc = jnp.pad(jnp.cumsum(chords), (1, 0))
-    law = time_law(axes, setup.machine, arc, process.feed, s)
+    if setup.flat:
+        law = time_law(axes, setup.machine, arc, process.feed, s)
+    else:
+        law = exact_time_law(place, s, setup.machine, process.feed)
     return Run(posture, s, arc, axes, law)
 
 

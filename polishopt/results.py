@@ -31,9 +31,10 @@ from .optimize.sensitivity import (
     sensitivities,
 )
 from .optimize.tune import Tuning, Verdict
-from .optimize.uncertainty import Spread, quickly, spread
+from .optimize.uncertainty import Spread, spread
 from .parts import Abrasive, Process, Scalar
 from .setup import FINE, Setup
+from .stored import stored
 from .texture.evolution import draw_patch
 from .texture.scratches import decay_rate, groove_depth
 from .texture.uncertainty import moment_errors
@@ -115,7 +116,7 @@ def write(
         paint("texture_maps.png", plots.texture_maps, *fine, size, margin)
         heights, extent = texture_patch(tuning, job, loaded.config)
         paint("texture.png", plots.texture, heights, extent, tuning.outcome)
-        errors, _ = eqx.filter_jit(moment_errors)(jnp.asarray(heights))
+        errors, _ = stored(moment_errors)(jnp.asarray(heights))
         title = f"Texture drawn by polishopt, not measured: {loaded.config.title}"
         start = loaded.config.start
         if start.file or start.milled or start.roughness:
@@ -151,12 +152,12 @@ def spread_of(process: Process, job: Job) -> Spread | None:
     return _spread(process, job.setup) if job.errors else None
 
 
-_run = eqx.filter_jit(resolved.run)
-_sensitivities = eqx.filter_jit(sensitivities)
-_spread = quickly(spread)
+_run = stored(resolved.run)
+_sensitivities = stored(sensitivities)
+_spread = stored(spread)
 
 
-@eqx.filter_jit
+@stored
 def _fine_maps(process: Process, setup: Setup):
     """Maps of the removal [mm] and of the texture."""
     done = polish(process, dataclasses.replace(_closely(setup), local=True))
@@ -261,9 +262,7 @@ def write_plan_sensitivities(job: PlanJob, target: Path) -> None:
         target: The folder; exists.
     """
     names = tuple(job.between)
-    matrix = eqx.filter_jit(plan_sensitivities)(
-        job.processes, job.plan, PLAN_OUTCOMES, names
-    )
+    matrix = stored(plan_sensitivities)(job.processes, job.plan, PLAN_OUTCOMES, names)
     _write(matrix, target)
 
 
@@ -303,12 +302,12 @@ def texture_patch(tuning: Tuning, job: Job, config: StepConfig):
     return np.asarray(heights), extent
 
 
-@eqx.filter_jit
+@stored
 def _groove_width(abrasive: Abrasive, pressure: Scalar) -> Scalar:
     return 2 * groove_depth(abrasive, pressure) * jnp.tan(abrasive.half_angle)
 
 
-@eqx.filter_jit
+@stored
 def _drawn(key, abrasive, outcome, wavelength, grade, grade_pressure, extent, shape):
     """Grooves of this step and of the grade before, and the ripple [mm]."""
     now, before = jax.random.split(key)
@@ -338,7 +337,7 @@ def maps(
     grid, law = setup.grid, run.law
     rows, columns = np.asarray(heights).shape
     flat = jnp.zeros((2, 2), dtype=grid.x.dtype)
-    nodes = eqx.filter_jit(patch)(tuning.process, setup.tool, flat, setup.side, 16, 24)
+    nodes = stored(patch)(tuning.process, setup.tool, flat, setup.side, 16, 24)
     axes = np.asarray(run.axes)
     along = ("sample",)
     variables = {

@@ -139,6 +139,8 @@ def prepare(cache: bool = True) -> None:
     """
     import jax
 
+    from . import stored
+
     jax.config.update("jax_enable_x64", True)
     # a third of the time that tracing takes: nobody reads where an operation came
     # from, and the many objects that tracing makes are hardly ever garbage
@@ -151,6 +153,7 @@ def prepare(cache: bool = True) -> None:
     name = f"jax-{version('jaxlib')}-{platform.machine()}"
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     target = Path(place) if place else home / "polishopt"
+    stored.keep_in(target / "programs")
     jax.config.update("jax_compilation_cache_dir", str(target / name))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -10,11 +10,11 @@ import pytest
 # Modules from the lowest floor to the highest; each may import what stands before it.
 # All of `files` is one place: its modules read each other in any order.
 FLOORS = """
-units parts
+units stored parts
 path.surface path.asphere path.nurbs path.soundness path.even
 path.corner path.guide path.polyline path.involute path.families path.revolution
 path.trochoid path.toolpath path
-machine.kinematics machine.sweep machine.feed machine.loop machine
+machine.kinematics machine.sweep machine.feed machine.exact machine.loop machine
 contact.pressure contact.removal contact.ripple contact
 texture.filters texture.areal texture.hybrid texture.lay texture.spatial texture.functional
 texture.feature texture.uncertainty texture.parameters

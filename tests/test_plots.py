@@ -14,7 +14,7 @@ from polishopt import plots
 from polishopt.chain import Outcome
 from polishopt.contact.pressure import flat_area, flat_force
 from polishopt.parts import Abrasive, Machine, Process, Tool
-from polishopt.path.guide import lines
+from polishopt.path.families import lines
 from polishopt.path.surface import Plane, SphereCap
 from polishopt.resolved import run
 from polishopt.setup import Setup, Start

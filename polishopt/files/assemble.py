@@ -38,6 +38,7 @@ from ..path.revolution import peano_revolution
 from ..path.soundness import check_surface
 from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
 from ..plan import Plan
+from ..stored import stored
 from ..texture.marks import milled_marks
 from ..texture.milling import MilledSurface, milled_map
 from ..texture.scratches import Population, groove_population
@@ -328,11 +329,11 @@ def start(config: StepConfig) -> jobs.Start:
     if by_tooth:
         heights, spacing = milled_marks(milled, TOOTH_PIXELS)
     else:
-        heights, spacing = eqx.filter_jit(milled_map)(milled, SCALLOP_PIXELS)
+        heights, spacing = stored(milled_map)(milled, SCALLOP_PIXELS)
     return jobs.Start(scratches=scratches, heights=heights, spacing=spacing)
 
 
-@eqx.filter_jit  # one compilation, not one for each of its operations
+@stored  # one compilation, not one for each of its operations
 def steady_scratches(grade: Abrasive, pressure: Scalar) -> Population:
     """What a grade that has polished for long leaves."""
     return groove_population(grade, pressure, LONG_AGO * grade.grain)

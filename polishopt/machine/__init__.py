@@ -3,9 +3,11 @@
 - kinematics   axis positions of a posture, and the posture of axis positions
 - sweep        the fastest motion along a path whose derivatives are known
 - feed         feed, time and what limits them along a sampled path
+- exact        the same along a path known as a function, limits kept between samples too
 - loop         the feed in one loop of the trochoid that is run again and again
 """
 
+from .exact import exact_time_law as exact_time_law
 from .feed import (
     Limits as Limits,
     TimeLaw as TimeLaw,

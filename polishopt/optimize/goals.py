@@ -9,12 +9,13 @@ from typing import TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from ..chain import Outcome
 from ..parts import Process, Scalar, as_scalar
 from ..plan import Plan, PlanOutcome
 from ..setup import Setup
-from ..texture.local import extremes
+from ..texture.local import TextureMaps, extremes
 
 
 SETTINGS = tuple(field.name for field in dataclasses.fields(Process))
@@ -148,14 +149,33 @@ def bands(outcome: Outcome, target: Mapping[str, Goal]) -> dict[str, Scalar]:
     Raises:
         ValueError: if the outcome has no maps.
     """
+    return {name: jnp.max(band) for name, band in local_bands(outcome, target).items()}
+
+
+def local_bands(
+    outcome: Outcome, target: Mapping[str, Goal]
+) -> dict[str, Float[Array, "ny nx"]]:
+    """`bands` at every place of the part: smooth in the process, as their ends are not.
+
+    Places in the margin do not count: there each is -1, as in the middle of its band.
+    """
     found = {}
     for name, goal in target.items():
         if goal.worst:
-            low, high = (
-                (value - goal.value) / goal.tolerance for value in ends(outcome, name)
-            )
-            found |= dict(zip(band_names(name), (-low - 1.0, high - 1.0), strict=True))
+            maps = _maps(outcome, name)
+            off = (getattr(maps, name) - goal.value) / goal.tolerance
+            sides = zip(band_names(name), (-off - 1.0, off - 1.0), strict=True)
+            found |= {end: jnp.where(maps.evaluated, side, -1.0) for end, side in sides}
     return found
+
+
+def _maps(outcome: Outcome, name: str) -> TextureMaps:
+    if outcome.maps is None:
+        raise ValueError(
+            f"the goal `{name}` is at the worst place, which needs maps: use a setup "
+            f"with `local=True`."
+        )
+    return outcome.maps
 
 
 def ends(outcome: Outcome, name: str) -> tuple[Scalar, Scalar]:
@@ -168,12 +188,8 @@ def ends(outcome: Outcome, name: str) -> tuple[Scalar, Scalar]:
     Raises:
         ValueError: if the outcome has no maps.
     """
-    if outcome.maps is None:
-        raise ValueError(
-            f"the goal `{name}` is at the worst place, which needs maps: use a setup "
-            f"with `local=True`."
-        )
-    return extremes(getattr(outcome.maps, name), outcome.maps.evaluated)
+    maps = _maps(outcome, name)
+    return extremes(getattr(maps, name), maps.evaluated)
 
 
 def reached(outcome: Outcome, name: str, goal: Goal) -> Scalar:
@@ -235,18 +251,18 @@ def all_misses(
     return _everywhere(misses, outcome, target)
 
 
-def all_bands(
+def all_local_bands(
     outcome: Outcome | PlanOutcome, target: Mapping[str, Goal]
-) -> dict[str, Scalar]:
-    """`bands` of a step, or of the goals `P600 Ssk` and the like of a plan."""
-    return _everywhere(bands, outcome, target)
+) -> dict[str, Float[Array, "ny nx"]]:
+    """`local_bands` of a step, or of the goals `P600 Ssk` and the like of a plan."""
+    return _everywhere(local_bands, outcome, target)
 
 
 def _everywhere(
-    found: Callable[[Outcome, Mapping[str, Goal]], dict[str, Scalar]],
+    found: Callable[[Outcome, Mapping[str, Goal]], dict[str, Array]],
     outcome: Outcome | PlanOutcome,
     target: Mapping[str, Goal],
-) -> dict[str, Scalar]:
+) -> dict[str, Array]:
     """What is found of an outcome, or of the steps of a plan, in the order of the goals."""
     if not isinstance(outcome, PlanOutcome):
         return found(outcome, target)

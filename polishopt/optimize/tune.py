@@ -25,14 +25,15 @@ from ..chain import Outcome, polish
 from ..parts import Process, Scalar, as_scalar
 from ..plan import Plan, PlanOutcome, follow
 from ..setup import Setup
+from ..stored import stored
 from .auglag import solve
 from .certificate import Solution, Status
 from .goals import (
     Goal as Goal,
     Limits as Limits,
     PlanLimits as PlanLimits,
-    all_bands,
     all_excesses,
+    all_local_bands,
     all_misses,
     applied,
     band_names,
@@ -149,31 +150,37 @@ class _Stage(eqx.Module):
     """Cost of the given start, so that the residual is of size one."""
 
 
-@eqx.filter_jit
+@stored
 def _search(places, lower, upper, stage: _Stage, secondary, tolerance, chain) -> Solution:
     """One search from each place, side by side; both stages share the compilation.
 
-    The chain comes jitted: however often the solver calls it, it is traced once.
+    However often the solver calls the chain, jitted it is traced once.
     """
+    chain = eqx.filter_jit(chain)
 
     def values(x, stage):
         given = applied(stage.fixed, _steps(stage.setup), x)
         outcome = chain(given, stage.setup)
-        missed = all_misses(outcome, stage.target)
+        # the worst place is no smooth function of the settings: each place is asked for
+        left = all_local_bands(outcome, stage.target)
+        missed = {
+            name: miss
+            for name, miss in all_misses(outcome, stage.target).items()
+            if name not in left
+        }
         exact = jnp.where(stage.weight > 0, 1.0, 0.0)
-        left = all_bands(outcome, stage.target)
+        off = [jnp.maximum(band, 0.0).reshape(-1) for band in left.values()]
         return Values(
             residual=(
-                jnp.stack(list(missed.values())) * (1 - exact),
+                jnp.concatenate([*(miss[None] for miss in missed.values()), *off])
+                * (1 - exact),
                 stage.weight * _cost(outcome, secondary) / stage.unit,
             ),
             inequality={
                 **all_excesses(outcome, stage.limits),
                 **{name: band * exact for name, band in left.items()},
             },
-            equality={
-                name: miss * exact for name, miss in missed.items() if name not in left
-            },
+            equality={name: miss * exact for name, miss in missed.items()},
         )
 
     return jax.vmap(
@@ -224,7 +231,8 @@ def _far(held: Solution, target: Mapping[str, Goal]):
     rows = []
     for name, goal in target.items():
         if goal.worst:
-            rows += [np.maximum(held.inequality[band], 0.0) for band in band_names(name)]
+            left = (held.inequality[band] for band in band_names(name))
+            rows += [np.max(np.maximum(band, 0.0), axis=(1, 2)) for band in left]
         else:
             rows.append(np.abs(held.equality[name]))
     return np.max(rows, axis=0)
@@ -332,7 +340,7 @@ def tune(
     upper = {name: as_scalar(high) for name, (_, high) in between.items()}
     places = spread_starts(first, between, starts, seed)
 
-    outcome: Callable[..., Any] = eqx.filter_jit(chain)
+    outcome: Callable[..., Any] = stored(chain)
     unit = jnp.maximum(_cost(outcome(begin, setup), secondary), 1e-12)
 
     # an accelerator takes all starts at once
@@ -342,7 +350,7 @@ def tune(
         stage = _Stage(setup, begin, dict(target), limits, weight, unit)
 
         def some(part):
-            return _search(part, lower, upper, stage, secondary, tolerance, outcome)
+            return _search(part, lower, upper, stage, secondary, tolerance, chain)
 
         return _in_batches(some, places, together)
 
@@ -402,7 +410,7 @@ def tune(
     def moved(name: str, goal: Goal) -> Scalar:
         if not goal.worst:
             return -answer.equality_multipliers[name] * share
-        low, high = (worth[band] for band in band_names(name))
+        low, high = (jnp.sum(worth[band]) for band in band_names(name))
         return low - high
 
     return Tuning(

@@ -7,7 +7,6 @@ correlations.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,6 +19,7 @@ from ..constants import part, with_constants
 from ..parts import Process, Scalar
 from ..plan import Plan, PlanOutcome, follow
 from ..setup import Setup
+from ..stored import stored
 
 
 OUTCOMES = (
@@ -33,13 +33,6 @@ OUTCOMES = (
     "mean_removal",
     "time",
 )
-
-# what XLA is told so that it compiles fast rather than makes fast code
-PLAIN = {
-    "xla_backend_optimization_level": 1,
-    "xla_llvm_disable_expensive_passes": True,
-    "xla_cpu_use_fusion_emitters": False,
-}
 
 
 class Spread(eqx.Module):
@@ -149,13 +142,7 @@ def plan_spread(
     return tuple(Spread(tuple(outcomes), tuple(uncertain), errors, rows) for rows in slopes)
 
 
-def quickly(f: Callable) -> Callable:
-    """`filter_jit` for what runs once: into plain code, which compiles sooner."""
-    jit: Any = eqx.filter_jit
-    return jit(f, compiler_options=PLAIN)
-
-
-@quickly
+@stored
 def _plan_slopes(values, processes, plan: Plan, places, outcomes, chain):
     """Derivatives `[step, outcome, constant]` of the outcomes by all constants."""
 
