@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from .files.config import ConfigError, Loaded, describe, load
+from .files.schema import StepConfig
 
 
 BAD_INPUT = 2
@@ -100,24 +101,27 @@ def begin(parser: argparse.ArgumentParser, argv: list[str] | None) -> Asked | in
             print(describe(loaded))
         return 0
     target = given.output or Path("runs") / given.config.stem
-    shaped = loaded.config.part.surface in ("asphere", "nurbs", "point_grid")
-    plain = loaded.config.guide.family in ("hilbert", "lines")
-    if not shaped and plain and not loaded.config.guide.even:
-        if not folder(target):
-            return BAD_INPUT
+    steps = loaded.steps or (("", loaded.config),)
+    made = [(name, config) for name, config in steps if only_shows_when_made(config)]
+    if made:
         prepare(not given.no_cache)
-        return Asked(given, loaded, target)
-    prepare(not given.no_cache)
-    from .files.assemble import geometry
+        from .files.assemble import geometry
 
-    for name, config in loaded.steps or (("", loaded.config),):
-        if wrong := geometry(config):
-            where = f", step {name}" if name else ""
-            print(f"{given.config}{where}: {wrong}", file=sys.stderr)
-            return BAD_INPUT
+        for name, config in made:
+            if wrong := geometry(config):
+                where = f", step {name}" if name else ""
+                print(f"{given.config}{where}: {wrong}", file=sys.stderr)
+                return BAD_INPUT
     if not folder(target):
         return BAD_INPUT
+    prepare(not given.no_cache)
     return Asked(given, loaded, target)
+
+
+def only_shows_when_made(config: StepConfig) -> bool:
+    """Whether the part or the guide of a config may turn out wrong when they are made."""
+    shaped = config.part.surface in ("asphere", "nurbs", "point_grid")
+    return shaped or config.guide.family != "hilbert" or config.guide.even
 
 
 def preload(*modules: str) -> None:

@@ -161,6 +161,16 @@ def test_the_command_answers_with_a_sentence(tmp_path, capsys):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_fillet_larger_than_the_lines_allow_is_a_sentence(tmp_path, capsys):
+    path = tmp_path / "narrow.yaml"
+    lines = with_guide(
+        SLENDER.replace("[60, 15]", "[10, 50]"), "  family: lines\n  count: 6"
+    )
+    path.write_text(lines)
+    assert main([str(path), "-o", str(tmp_path / "out"), "--no-cache"]) == 2
+    assert "`fillet` is 0.5 pitches, must be at most 0.1" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("closed", ["true", "false"])
 def test_peano_round_on_the_mirror(closed):
     lines = f"  family: peano_round\n  segment_mm: 4\n  closed: {closed}"
