@@ -19,11 +19,12 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help python fit test lint notebooks notebooks-check sensitivity bench clean
+.PHONY: help python fit test test-all lint notebooks notebooks-check sensitivity bench clean
 
 help:
 	@echo 'make fit          tune the plane part of the paper; CONFIG=file.yaml for another'
-	@echo 'make test         run the whole test suite; PYTEST_ARGS=... for some of it'
+	@echo 'make test         run the test suite; PYTEST_ARGS=... for some of it'
+	@echo 'make test-all     the same with its slow tests, two minutes more'
 	@echo 'make lint         check format, style and types'
 	@echo 'make notebooks    run the notebooks and write their .ipynb'
 	@echo 'make sensitivity  elasticities of every config, into build/'
@@ -60,6 +61,9 @@ fit: $(CORE)
 # --dist loadfile keeps a file's tests together, so that they share what is compiled
 test: $(DEV)
 	$(RUN) -m pytest -n $(WORKERS) --dist loadfile $(PYTEST_ARGS)
+
+test-all: PYTEST_ARGS += -m ""
+test-all: test
 
 lint: $(DEV)
 	$(RUN) -m ruff format --check

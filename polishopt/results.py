@@ -110,7 +110,7 @@ def write(
         say("running the path with every loop")
         run = _run(process, setup, resolved.samples(process, setup))
         paint("path.png", plots.path, run, setup)
-        paint("feed.png", plots.feed, run, process)
+        paint("feed.png", plots.feed, run, process, setup.machine.names)
         programmed = pool.submit(postprocess.programs, run, process, setup, loaded.config)
         fine = _fine_maps(process, setup)
         paint("removal.png", plots.removal, np.asarray(fine[0]), size)
@@ -346,7 +346,7 @@ def maps(
     rows, columns = np.asarray(heights).shape
     flat = jnp.zeros((2, 2), dtype=grid.x.dtype)
     nodes = stored(patch)(tuning.process, setup.tool, flat, setup.side, 16, 24)
-    axes = np.asarray(run.axes)
+    axes, rotary = np.asarray(run.axes), setup.machine.names[3:]
     along = ("sample",)
     variables = {
         "x": (("x",), grid.x, "mm", "place along x"),
@@ -392,7 +392,12 @@ def maps(
         "tip": (("sample", "xyz"), run.posture.tip, "mm", "driven point of the tool"),
         "axis": (("sample", "xyz"), run.posture.axis, "1", "tool axis"),
         "machine_XYZ": (("sample", "xyz"), axes[:, :3], "mm", "axes X, Y, Z"),
-        "machine_AC": (("sample", "rotary"), axes[:, 3:], "rad", "axes A, C"),
+        "machine_" + "".join(rotary): (
+            ("sample", "rotary"),
+            axes[:, 3:],
+            "rad",
+            f"axes {', '.join(rotary)}",
+        ),
     }
     described = {"title": loaded.config.title, "config": loaded.text, **versions()}
     write_maps(target / "maps.nc", variables, described)

@@ -6,6 +6,7 @@ same operations, the same precision, a fraction of the time. A process that a te
 inherits this. `XLA_FLAGS= make test` tests the code that a user's run compiles.
 """
 
+import gc
 import os
 
 
@@ -21,3 +22,6 @@ import jax  # noqa: E402 (the flags are read when it is loaded)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+# as in the commands: tracing takes a third less
+jax.config.update("jax_traceback_in_locations_limit", 0)
+gc.set_threshold(200_000, 50, 1000)

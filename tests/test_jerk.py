@@ -94,6 +94,7 @@ def test_steady_circle_runs_at_the_closed_form_feed(radius, acceleration, jerk):
 
 @pytest.mark.parametrize("tilt", [LEAN, math.radians(15.0)])
 @pytest.mark.parametrize("feed", [1000 / 60, 8000 / 60])
+@pytest.mark.slow
 def test_limits_hold_between_the_samples(limits, tilt, feed):
     """On a 5-axis trochoid of 64 samples a loop, looked at ten times as closely."""
     axes, arc, s = trochoid_axes(tilt)
@@ -161,6 +162,7 @@ def test_limits_hold_between_samples_of_a_whip():
     assert_close(law.feed[n // 2], 2.0 * 0.02, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_differences(limits):
     """By limits, programmed feed and the path itself, in one reverse pass."""
     axes, arc, s = trochoid_axes()

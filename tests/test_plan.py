@@ -90,6 +90,7 @@ def test_a_plan_that_does_not_touch_leaves_the_start():
     assert_close(outcome.last.Sq, outcome.steps[0].Sq, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_gradient_of_a_plan_with_a_large_patch():
     """12 settings, 256 x 256 points: equal to differences, in less than 1 GB.
 
@@ -246,7 +247,7 @@ def test_fit_tunes_a_plan(tmp_path):
     for word in ("Steps", "Tuned", "Targets", "coarse", "fine Ssk"):
         assert word in ran.stdout
     names = {path.name for path in target.iterdir()}
-    assert names == {"result.json", "optimum.yaml", "steps.csv", "steps.png"}
+    assert names == {"program", "result.json", "optimum.yaml", "steps.csv", "steps.png"}
     result = json.loads((target / "result.json").read_text())
     assert result["verdict"] == {0: "solved", 3: "infeasible"}[ran.returncode]
     rows = list(csv.reader((target / "steps.csv").read_text().splitlines()))

@@ -178,6 +178,7 @@ def test_passes_are_run_whole_and_slower(made, blocks):
     assert turned[0] == round(turned[0])
 
 
+@pytest.mark.slow
 def test_a_sharp_corner_is_a_move_of_its_own(made):
     """The axis leans along the guide, so it jumps where the guide turns on the spot."""
     config = load(CONFIG, [*SMALL, "guide.corner=sharp"]).config
@@ -343,6 +344,7 @@ def test_linuxcnc_takes_the_programs_of_all_examples(config, tmp_path):
         np.testing.assert_allclose(found[:, [3, 5]], told.rotary, rtol=0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_paths_of_a_plan_are_run_once_where_they_are_the_same(monkeypatch):
     """Four abrasives on one way; then felt discs on another."""
     loaded = load(

@@ -186,6 +186,7 @@ def test_ripple_on_the_plane_part_is_as_predicted():
     assert_close(rms, out.ripple * out.mean_removal, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_ripple_on_a_short_guide_with_tight_corners_is_underestimated():
     """A loop fills a corner, and where the path starts and ends counts as much."""
     setup = small(hilbert(2, (16.0, 16.0)), (16.0, 16.0), Sampling(rows=4, columns=3))
