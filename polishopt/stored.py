@@ -76,7 +76,8 @@ class _Stored:
         jit: Any = eqx.filter_jit
         self.f = f
         # options are for the outermost program only
-        self.inside, self.jitted = jit(f), jit(f, compiler_options=PLAIN)
+        self.inside = jit(f)
+        self.jitted = functools.cache(lambda: jit(f, compiler_options=_plain()))
         self.programs: dict[str, Callable[..., Any]] = {}
         self.lock = threading.Lock()
         functools.update_wrapper(self, f)
@@ -85,14 +86,14 @@ class _Stored:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((args, kwargs))):
             return self.inside(*args, **kwargs)
         if _folder is None:
-            return self.jitted(*args, **kwargs)
+            return self.jitted()(*args, **kwargs)
         arrays, fixed = eqx.partition((args, kwargs), _is_array)
         arrays, structure = jax.tree.flatten(arrays)
         try:
             key = self.key(fixed, arrays)
         except (pickle.PicklingError, AttributeError, TypeError):
             # given something that has no name outside this run
-            return self.jitted(*args, **kwargs)
+            return self.jitted()(*args, **kwargs)
         with self.lock:
             program = self.programs.get(key)
             if program is None:
@@ -128,12 +129,23 @@ class _Stored:
         # by this name JAX's own cache never has it: what was read from there cannot be
         # written again
         flat.__name__ = path.name
-        program = jax.jit(flat, compiler_options=PLAIN)
+        program = jax.jit(flat, compiler_options=_plain())
         compiled = program.lower(arrays).compile()
         # a cache must not fail: what cannot be kept is compiled again next time
         with suppress(Exception):
             _write(path, pickle.dumps((*serialize_executable.serialize(compiled), *shape)))
         return _whole(compiled, *shape)
+
+
+@functools.cache
+def _plain() -> dict[str, Any]:
+    """Those of the options in `PLAIN` that the compiler at hand knows."""
+    known = {}
+    for name, value in PLAIN.items():
+        with suppress(jax.errors.JaxRuntimeError, ValueError):
+            jax.jit(lambda: 0, compiler_options={name: value}).lower().compile()
+            known[name] = value
+    return known
 
 
 def _is_array(leaf: Any) -> bool:

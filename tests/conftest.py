@@ -9,12 +9,10 @@ inherits this. `XLA_FLAGS= make test` tests the code that a user's run compiles.
 import gc
 import os
 
+from xla_flags import FLAGS
 
-os.environ.setdefault(
-    "XLA_FLAGS",
-    "--xla_backend_optimization_level=1 --xla_llvm_disable_expensive_passes=true "
-    "--xla_cpu_use_fusion_emitters=false",
-)
+
+os.environ.setdefault("XLA_FLAGS", FLAGS)
 
 import jax  # noqa: E402 (the flags are read when it is loaded)
 
