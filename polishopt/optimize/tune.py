@@ -48,6 +48,8 @@ from .values import Values
 # A texture is on target when every goal is met to this share of its tolerance: for the
 # usual tolerances of 0.05 and 0.1 far below what can be measured.
 HIT = 1e-3
+# Limits hold if they are exceeded by no more than this share of their scale.
+KEPT = 1e-6
 # The search ends at a projected gradient this small, in units of tolerances.
 TOLERANCE = 1e-6
 # Rounds of multipliers, and trial points in each. All starts wait for the last one, and
@@ -379,7 +381,10 @@ def tune(
         say(f"looking for the least {secondary} from the {len(cheapest)} cheapest answers")
         held = search({n: x[cheapest] for n, x in final.x.items()}, jnp.ones_like(unit))
         far = _far(held, target)
-        good = (held.status == Status.SOLVED) & (far <= HIT)
+        # where the work ran out on the way to the least cost, the point may still do
+        kept = held.scaled_violation <= KEPT
+        ended = (held.status == Status.SOLVED) | ((held.status == Status.WORK_LIMIT) & kept)
+        good = ended & (far <= HIT)
         work = held.evaluations + final.evaluations[cheapest]
         held = eqx.tree_at(lambda solution: solution.evaluations, held, work)
         # else the target is reached, only not at the least cost: the first stage stands
