@@ -27,8 +27,8 @@ from .contact.pressure import (
 from .contact.removal import deposit, fraction_inside, preston_rates
 from .contact.ripple import Ripple, ripple
 from .machine.feed import Limits
-from .machine.kinematics import inverse
-from .machine.loop import loop_rate
+from .machine.kinematics import rotary
+from .machine.loop import axis_slopes, loop_rate, pole_pace
 from .margin import margin_deviations
 from .parts import Process, Scalar
 from .path.surface import area_stretch, curvature, tangent_to_parameter
@@ -148,34 +148,42 @@ def along(process: Process, setup: Setup) -> Stations:
     # one contact patch serves all phases of a loop, and on a plane all stations
     level = footing(jnp.zeros((2, 2), dtype=s.dtype)) if setup.level else None
 
-    def at(s, phase):
+    def place_at(s, phase):
+        return posture(
+            surface,
+            setup.guide(s),
+            phase,
+            process,
+            setup.tool.radius,
+            setup.pulling,
+            setup.lean,
+        )
+
+    def at(s, weight, phase):
+        zero, one = jnp.zeros_like(s), jnp.ones_like(s)
+
         def move(t):
-            place = posture(
-                surface,
-                setup.guide(s + t),
-                phase + 2 * jnp.pi * t / process.step,
-                process,
-                setup.tool.radius,
-                setup.pulling,
-                setup.lean,
-            )
-            axes = inverse(place.tip, place.axis, setup.machine)
+            place = place_at(s + t, phase + 2 * jnp.pi * t / process.step)
             way = place.contact
             if "stretch" in setup.idealised:
                 way = jnp.pad(place.xy, (0, 1))
-            return (way, axes), place
+            angles, _ = rotary(place.axis, setup.machine)
+            return (way, place.axis, (place.tip, angles)), (place, angles)
 
         def moving(t):
-            _, (dcontact, daxes), place = jax.jvp(
-                move, (t,), (jnp.ones_like(t),), has_aux=True
-            )
-            return (dcontact, daxes), place
+            _, slopes, there = jax.jvp(move, (t,), (one,), has_aux=True)
+            return slopes, there
 
-        zero = jnp.zeros_like(s)
-        (dcontact, daxes), (_, ddaxes), place = jax.jvp(
-            moving, (zero,), (jnp.ones_like(zero),), has_aux=True
+        (tangent, turning, first), (_, _, second), (place, angles) = jax.jvp(
+            moving, (zero,), (one,), has_aux=True
         )
-        return place, dcontact, daxes, ddaxes
+        pace = one
+        if not setup.level:  # else the axis keeps its distance from the pole
+            _, aside = jax.jvp(lambda s: place_at(s, phase).axis, (s,), (one,))
+            cell = jnp.stack([spacing * turning, weight * aside])
+            pace = pole_pace(place.axis, cell, setup.machine)
+        dq, ddq = axis_slopes((place.tip, angles), first, second, pace, setup.machine)
+        return place, tangent, dq, ddq
 
     def touch(nodes, place, tangent, speed, dwell):
         f, b = place.feed_direction, place.side
@@ -194,7 +202,9 @@ def along(process: Process, setup: Setup) -> Stations:
 
     def station(given):
         s, weight = given
-        place, tangent, dq, ddq = jax.vmap(at, in_axes=(None, 0))(s, phases)
+        place, tangent, dq, ddq = jax.vmap(at, in_axes=(None, None, 0))(
+            s, weight, phases
+        )
         rate = jnp.sqrt(jnp.sum(tangent**2, axis=1))
         speed = loop_rate(dq, ddq, rate, spacing, process.feed, limits)
         contact = setup.guide(s).contact

@@ -236,9 +236,17 @@ def reach(axis: Float[Array, "3"], machine: Machine) -> Scalar:
 
 def pole_distance(axis: Float[Array, "3"], machine: Machine) -> Scalar:
     """Sine of the angle between a tool axis and the pole; not for differentiation [-]."""
+    across = beside_pole(jax.lax.stop_gradient(axis), machine)
+    return jnp.sqrt(jnp.sum(across**2))
+
+
+def beside_pole(axis: Float[Array, "3"], machine: Machine) -> Float[Array, "3"]:
+    """Tool axis across the rotary axis next to the part, a quarter turn on [-].
+
+    Zero at the pole, and linear in the axis: of a derivative it is the derivative.
+    """
     (one, _), _ = _pair(machine)
-    across = _cross(one, _placed_axis(jax.lax.stop_gradient(axis), machine))
-    return jnp.sqrt(_scalar(across, across))
+    return jnp.stack(_cross(one, _placed_axis(axis, machine)))
 
 
 def positions(

@@ -7,14 +7,92 @@ are taken sample by sample, and the share of an axis's acceleration that the ben
 path needs, $|q''|\dot s^2$, is set aside before the rest may serve to speed up or slow
 down. That is on the safe side by at most a factor of sqrt(2) in the acceleration, and it
 is smooth in the settings wherever the limiting axis stays the same.
+
+Near the pole the rotary axis next to the part turns at a rate that grows as one over the
+distance $\sigma$ from it. Averaged over phases and loops that is harmless, because the area
+within $\sigma$ of the pole falls as its square; but a sample that happens to fall onto the
+pole would stand for its whole cell, and the time would jump with every setting that shifts
+the samples. So each sample's pole is blurred over its cell, by a kernel that leaves the
+integral as it was.
 """
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..parts import Scalar
+from ..parts import Machine, Scalar
+from .kinematics import beside_pole, positions
 from .sweep import Limits
+
+
+# Width of the blurred pole, in cells of the sampling: wide enough that the time no longer
+# follows the samples, narrow beside the region where the pole slows the machine down.
+BLUR = 0.4
+
+Angles = tuple[Scalar, Scalar]
+
+
+def pole_pace(
+    axis: Float[Array, "3"], cell: Float[Array, "c 3"], machine: Machine
+) -> Scalar:
+    r"""Rate of the rotary axes near the pole, averaged over a cell, over that at its node.
+
+    A rate $g(\alpha)/\sigma$ at the distance $\sigma$ and in the direction $\alpha$ from
+    the pole becomes $g(\alpha)\,\sigma(\sigma^2 + 3\delta^2)/(\sigma^2 + \delta^2)^2$,
+    which is smooth, vanishes at the pole, and has the same integral over the plane for
+    every direction. The width $\delta$ is the cell's extent towards the pole; within the
+    cell, its whole extent.
+
+    Args:
+        axis: Unit tool axis at the node [-].
+        cell: How far the axis turns from the node to the next one, along each of the
+            directions in which nodes follow each other [-].
+        machine: The machine.
+
+    Source: own derivation; kernels of this kind are the blobs of vortex methods.
+    """
+    across = beside_pole(axis, machine)
+    square = jnp.sum(across**2)
+    edges = jax.vmap(lambda edge: beside_pole(edge, machine))(cell)
+    size = jnp.sum(edges**2)
+    whole = square + size
+    some = whole > 0
+    near, whole = size / jnp.where(some, whole, 1.0), jnp.where(some, whole, 1.0)
+    towards = jnp.sum((edges @ across) ** 2) / whole
+    blur = BLUR**2 * (towards + near**2 * size)
+    wide = jnp.where(some, square + blur, 1.0)
+    return jnp.where(some, square * (square + 3 * blur) / wide**2, 1.0)
+
+
+def axis_slopes(
+    at: tuple[Float[Array, "3"], Angles],
+    first: tuple[Float[Array, "3"], Angles],
+    second: tuple[Float[Array, "3"], Angles],
+    pace: Scalar,
+    machine: Machine,
+) -> tuple[Float[Array, "5"], Float[Array, "5"]]:
+    """First and second derivatives of all axes by the path parameter.
+
+    Args:
+        at: Tool tip on the part [mm] and angles of the rotary axes, next to the part
+            first [rad].
+        first: Their first derivatives by the path parameter.
+        second: Their second derivatives.
+        pace: By how much faster the rotary axes turn than that.
+        machine: The machine.
+    """
+    once = (first[0], tuple(pace * rate for rate in first[1]))
+    twice = (second[0], tuple(pace**2 * rate for rate in second[1]))
+
+    def axes(t):
+        tip, angles = jax.tree.map(lambda x, v, a: x + t * (v + t / 2 * a), at, once, twice)
+        return positions(tip, angles, machine)
+
+    def moving(t):
+        return jax.jvp(axes, (t,), (jnp.ones_like(t),))[1]
+
+    zero = jnp.zeros_like(pace)
+    return jax.jvp(moving, (zero,), (jnp.ones_like(zero),))
 
 
 def loop_rate(
