@@ -234,6 +234,7 @@ def _answer(parts, box, start, unit, *, options: _Options) -> Solution:
         "scale": problem.place(problem.width),
         "weigh": problem.weigh,
         "lead": problem.lead,
+        "firm": jnp.arange(problem.plain + problem.constraints) >= problem.plain,
         "choose": lambda duals, *rest: steered(problem, duals, *rest),
     }
 

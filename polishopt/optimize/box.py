@@ -25,6 +25,7 @@ from .model import Merit, learned, least_of_model, projected
 
 ACCEPT = 1e-4  # least share of the promised decrease that is worth moving for
 SHRINK, GROW = 0.25, 2.5  # of the trust region, after a poor and after a good step
+import os; CAP=float(os.environ.get('CAP','30'));NEARBY=float(os.environ.get("NEARBY","0.2"))
 FAR = 10.0  # times the size of an unknown: a box wider than that says nothing
 
 
@@ -139,11 +140,19 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         jacobian = jnp.where(keep, columns, state.jacobian)
         finite = finite & jnp.all(jnp.isfinite(jacobian))
         keep = keep & (finite | state.first)
+        told = finite & jnp.all(jnp.isfinite(columns)) & ~state.first
 
         moved = (trial - point) / scale
-        change = (jacobian - state.jacobian).T @ merit.pull(values)
+        firm = options.get("firm", False)
+        expected = state.values + state.jacobian @ step
+        pull = merit.pull(jnp.where(firm, expected, values))
+        steep = jnp.max(jnp.abs(columns.T @ jnp.where(firm, 0.0, pull)))
+        rows = jnp.max(jnp.abs(columns), axis=1)
+        most = jnp.where(firm & (steep > 0) & (rows > 0), CAP * steep / jnp.where(rows > 0, rows, 1.0), jnp.inf)
+        pull = jnp.clip(pull, -most, most)
+        change = (columns - state.jacobian).T @ pull
         curvature = jnp.where(
-            keep & ~state.first & (jnp.max(jnp.abs(moved)) > 0),
+            told & (keep | (jnp.max(jnp.abs(step)) <= NEARBY)) & (jnp.max(jnp.abs(moved)) > 0),
             learned(state.curvature, moved, change),
             state.curvature,
         )

@@ -108,7 +108,9 @@ def outer_step(
     renew = renew & ~duals.restoring & ~solved & ~lost
     error = jnp.maximum(scaled, -duals.multiplier / duals.penalty)
     error = jnp.abs(jnp.where(hinged, error, scaled))
-    improved = (error <= IMPROVED * outer.error) | (error <= feasible)
+    improved = error <= jnp.maximum(IMPROVED * outer.error, 1e-3 * outer.loose)
+    cut = spent & ~near & ~stalled(state)
+    improved = improved | cut
     raised = jnp.where(improved, duals.penalty, RAISE * duals.penalty)
     halved = (violation <= 0.5 * outer.violation) | (violation <= feasible)
     failures = jnp.where(renew, jnp.where(halved, 0, outer.failures + 1), outer.failures)
@@ -131,7 +133,7 @@ def outer_step(
         jnp.where(renew, multiplier, duals.multiplier), -duals.most, duals.most
     )
     penalty = jnp.where(renew, jnp.minimum(raised, duals.most), duals.penalty)
-    tighter = jnp.minimum(LOOSE * outer.loose, jnp.max(error, initial=0.0))
+    tighter = jnp.minimum(LOOSE * outer.loose, jnp.maximum(1e3*jnp.max(error, initial=0.0), LOOSE**2 * outer.loose))
     loose = jnp.where(
         renew, jnp.maximum(tighter, LOOSE * aim if sharp else goal), outer.loose
     )
@@ -145,12 +147,12 @@ def outer_step(
         measuring=(duals.measuring & ~found) | measure,
     )
     new_problem = renew | found | measure
-    new_curvature = restore | found | measure
+    new_curvature = restore | found | measure | (cut & renew)
     state = eqx.tree_at(
         lambda s: (s.radius, s.curvature),
         state,
         (
-            jnp.where(new_problem, jnp.maximum(state.radius, RADIUS), state.radius),
+            jnp.where(new_problem & ~cut, jnp.maximum(state.radius, RADIUS), state.radius),
             jnp.where(new_curvature, 0.0, state.curvature),
         ),
     )
