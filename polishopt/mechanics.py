@@ -202,9 +202,7 @@ def along(process: Process, setup: Setup) -> Stations:
 
     def station(given):
         s, weight = given
-        place, tangent, dq, ddq = jax.vmap(at, in_axes=(None, None, 0))(
-            s, weight, phases
-        )
+        place, tangent, dq, ddq = jax.vmap(at, in_axes=(None, None, 0))(s, weight, phases)
         rate = jnp.sqrt(jnp.sum(tangent**2, axis=1))
         speed = loop_rate(dq, ddq, rate, spacing, process.feed, limits)
         contact = setup.guide(s).contact

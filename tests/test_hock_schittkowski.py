@@ -16,6 +16,11 @@ from hock_schittkowski import NAMES, PROBLEMS, WIDE, padded, padded_ends
 from polishopt.optimize import Solution, Status, Values, minimise
 
 
+# From the book's start HS15 may go to either of two local optima; ours goes to the dearer
+# one, and to the book's from a start on its side of the unfeasible strip.
+OTHER_OPTIMUM = {"HS15": 360.37976717}
+
+
 @jax.jit
 def run(index, start, lower, upper) -> Solution:
     """One compilation for all problems: the number of the problem is an argument."""
@@ -49,7 +54,7 @@ def test_the_published_optimum_is_found(name):
     assert got.status == Status.SOLVED
     size = max(1.0, abs(problem.best))
     # a few are published to 7 or 8 digits only
-    assert_close(got.objective, problem.best, atol=1e-6 * size)
+    assert_close(got.objective, OTHER_OPTIMUM.get(name, problem.best), atol=1e-6 * size)
 
     count = len(problem.start)
     (value, g, h), (slope, dg, dh) = at(name, got.x)
@@ -69,6 +74,16 @@ def test_the_published_optimum_is_found(name):
     assert (bounds[x > lower + 1e-8] >= 0).all()
     assert (bounds[x < upper - 1e-8] <= 0).all()
     assert_close(got.objective, value)
+
+
+@pytest.mark.parametrize("name", OTHER_OPTIMUM)
+def test_the_published_optimum_is_found_from_its_own_side(name):
+    problem = PROBLEMS[name]
+    _, *ends = padded_ends(problem)
+    start = jnp.asarray(np.pad([0.4, 1.0], (0, WIDE - 2)))
+    got = run(NAMES.index(name), start, *ends)
+    assert got.status == Status.SOLVED
+    assert_close(got.objective, problem.best, atol=1e-6 * problem.best)
 
 
 def slsqp(name):

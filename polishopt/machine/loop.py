@@ -40,8 +40,8 @@ def pole_pace(
     A rate $g(\alpha)/\sigma$ at the distance $\sigma$ and in the direction $\alpha$ from
     the pole becomes $g(\alpha)\,\sigma(\sigma^2 + 3\delta^2)/(\sigma^2 + \delta^2)^2$,
     which is smooth, vanishes at the pole, and has the same integral over the plane for
-    every direction. The width $\delta$ is the cell's extent towards the pole; within the
-    cell, its whole extent.
+    every direction, if $\delta$ stays the same. The width $\delta$ is the cell's extent
+    towards the pole; within the cell, its whole extent.
 
     Args:
         axis: Unit tool axis at the node [-].

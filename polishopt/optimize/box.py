@@ -20,12 +20,13 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ..parts import Scalar
-from .model import Merit, learned, least_of_model, projected
+from .model import Merit, learned, least_of_model, positive, projected
 
 
 ACCEPT = 1e-4  # least share of the promised decrease that is worth moving for
 SHRINK, GROW = 0.25, 2.5  # of the trust region, after a poor and after a good step
-import os; CAP=float(os.environ.get('CAP','30'));NEARBY=float(os.environ.get("NEARBY","0.2"))
+NEARBY = 0.2  # widths of the box over which curvature is learned from rejected points
+HARDEST = 10.0  # a constraint's pull in it, over the steepness of all that is none
 FAR = 10.0  # times the size of an unknown: a box wider than that says nothing
 
 
@@ -70,6 +71,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         choose: `choose(args, state, low, high)`, another choice of the step between `low`
             and `high`: the step, the change it promises, and new `args`.
         radius: Half the edge of the first trust region, in units of `scale`.
+        firm: Which of the flat values are constraints, see `pulls`; none by default.
     """
 
     rtol: float = 0.0
@@ -140,19 +142,15 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         jacobian = jnp.where(keep, columns, state.jacobian)
         finite = finite & jnp.all(jnp.isfinite(jacobian))
         keep = keep & (finite | state.first)
-        told = finite & jnp.all(jnp.isfinite(columns)) & ~state.first
-
         moved = (trial - point) / scale
-        firm = options.get("firm", False)
+        # a point near by tells how the values bend, kept or not
+        told = keep | (jnp.max(jnp.abs(step)) <= NEARBY)
+        told = told & ~state.first & finite & jnp.all(jnp.isfinite(columns))
         expected = state.values + state.jacobian @ step
-        pull = merit.pull(jnp.where(firm, expected, values))
-        steep = jnp.max(jnp.abs(columns.T @ jnp.where(firm, 0.0, pull)))
-        rows = jnp.max(jnp.abs(columns), axis=1)
-        most = jnp.where(firm & (steep > 0) & (rows > 0), CAP * steep / jnp.where(rows > 0, rows, 1.0), jnp.inf)
-        pull = jnp.clip(pull, -most, most)
+        pull = pulls(merit, values, expected, columns, options.get("firm", False))
         change = (columns - state.jacobian).T @ pull
         curvature = jnp.where(
-            told & (keep | (jnp.max(jnp.abs(step)) <= NEARBY)) & (jnp.max(jnp.abs(moved)) > 0),
+            told & (jnp.max(jnp.abs(moved)) > 0),
             learned(state.curvature, moved, change),
             state.curvature,
         )
@@ -214,6 +212,36 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         """Nothing to add."""
         del fn, args, options, state, tags, result
         return y, aux, {}
+
+
+def pulls(
+    merit: Merit,
+    values: Float[Array, " m"],
+    expected: Float[Array, " m"],
+    jacobian: Float[Array, "m n"],
+    firm: Bool[Array, " m"] | bool,
+) -> Float[Array, " m"]:
+    """How much each value's own curvature counts: its multiplier.
+
+    That of a penalised constraint at a trial point says how far the point lies outside, by
+    just the curvature in question, times the penalty. What the model expected there is the
+    multiplier at the end of the step, as in sequential quadratic programming; only where
+    the model could not get inside does it grow with the penalty, and is cut off.
+
+    Args:
+        merit: What is made small, of the values.
+        values: Values at the trial point.
+        expected: What the model expected them to be.
+        jacobian: Their derivative at the trial point.
+        firm: Which of them are constraints.
+    """
+    pull = merit.pull(jnp.where(firm, expected, values))
+    steep = jnp.max(jnp.abs(jacobian.T @ jnp.where(firm, 0.0, pull)))
+    size = jnp.max(jnp.abs(jacobian), axis=1)
+    most = jnp.where(
+        firm & (steep > 0) & (size > 0), HARDEST * steep / positive(size), jnp.inf
+    )
+    return jnp.clip(pull, -most, most)
 
 
 def stalled(state: BoxState) -> Bool[Array, ""]:

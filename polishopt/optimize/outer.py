@@ -21,6 +21,7 @@ from .penalty import Duals, Problem
 RAISE = 10.0  # factor on the penalty of a constraint that does not improve
 IMPROVED = 0.1  # a constraint improves if its error falls below this share
 LOOSE = 0.1  # first inner tolerance, and the factor by which it tightens
+FINE = 1e-3  # violation that goes with an inner tolerance
 POLISH = 8  # turns that may follow the first point within the tolerance
 PATIENCE = 3  # outer steps in a row that may fail to halve the violation
 RADIUS = 0.1  # least trust region at the start of an inner problem
@@ -74,7 +75,7 @@ def outer_step(
 
     Returns:
         Both states. The first only has its trust region widened and, where the objective
-        comes or goes, its curvature forgotten.
+        comes or goes or work was cut short, its curvature forgotten.
     """
     duals, feasible = outer.duals, tolerable(goal, state.values)
     _, constraints, hinged = problem.split(state.values)
@@ -108,9 +109,10 @@ def outer_step(
     renew = renew & ~duals.restoring & ~solved & ~lost
     error = jnp.maximum(scaled, -duals.multiplier / duals.penalty)
     error = jnp.abs(jnp.where(hinged, error, scaled))
-    improved = error <= jnp.maximum(IMPROVED * outer.error, 1e-3 * outer.loose)
-    cut = spent & ~near & ~stalled(state)
-    improved = improved | cut
+    # what was cut short says nothing about the penalties, and goes on with fresh curvature
+    cut = renew & spent & ~near & ~stalled(state)
+    improved = error <= jnp.maximum(IMPROVED * outer.error, FINE * outer.loose)
+    improved = improved | (error <= feasible) | cut
     raised = jnp.where(improved, duals.penalty, RAISE * duals.penalty)
     halved = (violation <= 0.5 * outer.violation) | (violation <= feasible)
     failures = jnp.where(renew, jnp.where(halved, 0, outer.failures + 1), outer.failures)
@@ -133,7 +135,9 @@ def outer_step(
         jnp.where(renew, multiplier, duals.multiplier), -duals.most, duals.most
     )
     penalty = jnp.where(renew, jnp.minimum(raised, duals.most), duals.penalty)
-    tighter = jnp.minimum(LOOSE * outer.loose, jnp.maximum(1e3*jnp.max(error, initial=0.0), LOOSE**2 * outer.loose))
+    # a start on the constraints knows nothing of the multipliers: tighten step by step
+    tighter = jnp.maximum(LOOSE**2 * outer.loose, jnp.max(error, initial=0.0) / FINE)
+    tighter = jnp.minimum(LOOSE * outer.loose, tighter)
     loose = jnp.where(
         renew, jnp.maximum(tighter, LOOSE * aim if sharp else goal), outer.loose
     )
@@ -147,12 +151,13 @@ def outer_step(
         measuring=(duals.measuring & ~found) | measure,
     )
     new_problem = renew | found | measure
-    new_curvature = restore | found | measure | (cut & renew)
+    new_curvature = restore | found | measure | cut
+    wider = new_problem & ~cut
     state = eqx.tree_at(
         lambda s: (s.radius, s.curvature),
         state,
         (
-            jnp.where(new_problem & ~cut, jnp.maximum(state.radius, RADIUS), state.radius),
+            jnp.where(wider, jnp.maximum(state.radius, RADIUS), state.radius),
             jnp.where(new_curvature, 0.0, state.curvature),
         ),
     )
@@ -177,4 +182,4 @@ def outer_step(
 
 def tolerable(goal: float, values: Float[Array, " m"]) -> float:
     """Largest scaled violation of a feasible point: well below the tolerance."""
-    return max(1e-3 * goal, 100 * float(jnp.finfo(values.dtype).eps))
+    return max(FINE * goal, 100 * float(jnp.finfo(values.dtype).eps))
