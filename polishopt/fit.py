@@ -42,8 +42,10 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
         quiet: Whether to print nothing.
     """
     from . import report
+    from .basin_report import basin_table, left_over
     from .chain import polish
     from .files.assemble import job as assemble
+    from .optimize.basins import basins
     from .optimize.tune import tune
     from .stored import stored
 
@@ -73,6 +75,11 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
         spread = results.spread_of(tuning.process, job)
         scatter, programs = results.write(tuning, job, loaded, target, say, spread)
     say(f"results are in {target}")
+    found = basins(tuning, job.between)
+    if found:
+        console.print(basin_table(found, tuning, loaded))
+    if rest := left_over(found, tuning):
+        console.print(rest)
     report.show(console, tuning, job, loaded, scatter, spread, programs)
     return int(report.ended(tuning, programs))
 

@@ -23,6 +23,7 @@ from .files.document import write_text
 from .files.results import write_json, write_maps, write_sensitivity
 from .files.schema import StepConfig
 from .files.topography import Topography, write as write_topography
+from .optimize.basins import basins
 from .optimize.sensitivity import (
     OUTCOMES,
     PLAN_OUTCOMES,
@@ -239,6 +240,7 @@ def numbers(
             "end_costs": tuning.costs,
             "end_statuses": tuning.statuses,
             "evaluations": tuning.evaluations,
+            "distinct_answers": [one._asdict() for one in basins(tuning, job.between)],
             "versions": versions(),
             "config": loaded.text,
         },

@@ -28,11 +28,13 @@ blocks preflight
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.naming
 optimize.steering optimize.outer optimize.implicit optimize.adapted
-optimize.auglag optimize.goals optimize.uncertainty optimize.tune optimize.sensitivity
+optimize.auglag optimize.goals optimize.uncertainty optimize.tune optimize.basins
+optimize.sensitivity
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
-postprocess plots report results plan_report session program fit sensitivity attribution
+postprocess plots report basin_report results plan_report session program fit sensitivity
+attribution
 measure
 calibrate
 texture.__main__

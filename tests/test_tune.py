@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +13,8 @@ from helpers import assert_close
 from polishopt import Goal, Limits, Outcome, Process, Setup, Start, tune
 from polishopt.files.assemble import job
 from polishopt.files.config import load
+from polishopt.optimize.basins import basins
+from polishopt.optimize.certificate import Status
 from polishopt.optimize.tune import Verdict, excesses, misses, spread_starts
 from polishopt.texture.scratches import Population
 from scipy.optimize import minimize
@@ -49,6 +52,7 @@ def toy(process: Process, setup: Setup) -> Outcome:
 
 
 START = Process(0.1, 0.3, 1.0, 6.0, 16.7, 209.0)
+START_AT = {"tilt": 0.1, "displacement": 0.3, "step": 1.0, "trochoid_radius": 6.0}
 BETWEEN = {
     "tilt": (0.05, 0.26),
     "displacement": (0.1, 1.2),
@@ -73,6 +77,35 @@ def test_target_is_met_and_limits_hold(solved):
     for name, (low, high) in BETWEEN.items():
         assert low <= float(getattr(answer.process, name)) <= high
     assert float(answer.kkt) <= 1e-4
+
+
+def test_distinct_answers_are_told_apart_and_counted(solved):
+    _, _, answer = solved
+    found = basins(answer, BETWEEN)
+    assert_close(found[0].cost, float(answer.outcome.time))
+    assert int(answer.best) in found[0].starts
+    costs = [basin.cost for basin in found]
+    assert costs == sorted(costs)
+    counted = [start for basin in found for start in basin.starts]
+    ended = np.asarray(answer.followed) & (np.asarray(answer.statuses) == Status.SOLVED)
+    assert sorted(counted) == list(np.flatnonzero(ended))
+    for name, value in found[0].answer.items():
+        low, high = BETWEEN[name]
+        assert_close(value, getattr(answer.process, name), rtol=0, atol=1e-3 * (high - low))
+
+
+def test_answers_a_little_apart_are_one(solved):
+    _, _, answer = solved
+    nudged = 1e-4 * jnp.arange(16.0).reshape(2, 8).T.reshape(-1) / 16
+    moved = {name: jnp.full(16, START_AT[name]) + nudged for name in BETWEEN}
+    step = moved["step"].at[::2].add(0.5)
+    same = eqx.tree_at(
+        lambda t: (t.answers, t.statuses, t.followed),
+        answer,
+        (moved | {"step": step}, jnp.zeros(16, int), jnp.ones(16, bool)),
+    )
+    found = basins(same, BETWEEN)
+    assert sorted(len(basin.starts) for basin in found) == [8, 8]
 
 
 def test_a_goal_multiplier_is_what_moving_that_goal_costs(solved):

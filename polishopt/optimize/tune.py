@@ -19,7 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..chain import Outcome, polish
 from ..parts import Process, Scalar, as_scalar
@@ -109,6 +109,8 @@ class Tuning(eqx.Module, Generic[Settings, Result]):
     """How each search ended: a `Status` of the certificate."""
     evaluations: Int[Array, " starts"]
     """How often each evaluated the chain."""
+    followed: Bool[Array, " starts"]
+    """Which of them reached the target and went on to the least cost."""
 
 
 def spread_starts(
@@ -366,7 +368,7 @@ def tune(
     hit = (distance <= HIT) & (final.status == Status.SOLVED)
     say(f"{int(np.sum(hit))} of {starts} starts reach it")
     solved, at_cost = bool(np.any(hit)), False
-    cost = np.zeros_like(distance)
+    cost, followed = np.zeros_like(distance), np.zeros(starts, bool)
     # where nothing reaches the target: the least miss that keeps the limits, or failing
     # that the least violation
     kept = final.status == Status.SOLVED
@@ -393,6 +395,7 @@ def tune(
             final = jax.tree.map(lambda a, b: _put(a, cheapest, b), final, held)
             distance = _put(distance, cheapest, far)
             cost = _put(cost, cheapest, held.residual[1] * float(unit))
+            followed = _put(followed, cheapest, np.ones(len(cheapest), bool))
             rank = _put(np.full(starts, np.inf), cheapest[good], cost[cheapest[good]])
     best = int(np.argmin(np.where(np.isnan(rank), np.inf, rank)))
     # the loops above ran on the host; what is handed out are JAX arrays again
@@ -436,4 +439,5 @@ def tune(
         costs=cost,
         statuses=final.status,
         evaluations=jnp.asarray(final.evaluations),
+        followed=jnp.asarray(followed),
     )
