@@ -12,6 +12,7 @@ import statistics
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -43,7 +44,7 @@ def chain(job, secondary):
         missed, over = misses(outcome, job.target), excesses(outcome, job.limits)
         return jnp.stack(list(missed.values())), jnp.stack(list(over.values())), cost
 
-    known = {"count": 0}
+    known: dict[str, Any] = {"count": 0}
 
     def once(t):
         key = np.asarray(t).tobytes()

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
@@ -447,26 +448,30 @@ def sensitivities(
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> Path:
-    """The figure as a PNG file, written whole or not at all.
+    """The figure as a PNG or SVG file, written whole or not at all.
 
     The same figure gives the same bytes: the file holds no date and no version.
 
     Args:
         figure: The figure.
-        path: Where to put it; its folder is made if need be.
+        path: Where to put it, `.png` or `.svg`; its folder is made if need be.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, beside = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
-            figure.savefig(
-                file,
-                format="png",
-                dpi=DPI,
-                metadata={"Software": None},
-                pil_kwargs={"compress_level": 3},  # a third of the time of the usual 6
-            )
+            if path.suffix == ".svg":
+                with rc_context({"svg.hashsalt": "polishopt"}):
+                    figure.savefig(file, format="svg", metadata={"Date": None})
+            else:
+                figure.savefig(
+                    file,
+                    format="png",
+                    dpi=DPI,
+                    metadata={"Software": None},
+                    pil_kwargs={"compress_level": 3},  # a third of the time of the usual 6
+                )
         # a temporary file is for its owner's eyes only; a picture is not
         os.chmod(beside, 0o644)
         os.replace(beside, path)

@@ -13,14 +13,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from . import plots, postprocess, report, resolved
+from . import plots, postprocess, report, resolved, shares_plot
 from .chain import polish
 from .contact.pressure import patch
 from .files import assemble
 from .files.assemble import Job, PlanJob
 from .files.config import Loaded, optimum
 from .files.document import write_text
-from .files.results import write_json, write_maps, write_sensitivity
+from .files.results import write_json, write_maps, write_sensitivity, write_shares
 from .files.schema import StepConfig
 from .files.topography import Topography, write as write_topography
 from .optimize.basins import basins
@@ -33,6 +33,7 @@ from .optimize.sensitivity import (
 )
 from .optimize.tune import Tuning
 from .optimize.uncertainty import Spread, spread
+from .optimize.variance import Variance, variance_shares
 from .parts import Abrasive, Process, Scalar
 from .setup import FINE, Setup
 from .stored import stored
@@ -276,14 +277,36 @@ def write_plan_sensitivities(job: PlanJob, target: Path) -> None:
     _write(matrix, target)
 
 
+def write_variance(job: Job, target: Path, samples: int) -> Variance | None:
+    """`variance.csv`, `.png` and `.svg`: Sobol indices between the bounds.
+
+    Args:
+        job: The job; what it tunes is varied.
+        target: The folder; exists.
+        samples: A power of two.
+
+    Returns:
+        The indices; None where nothing is tuned.
+    """
+    if not job.between:
+        return None
+    found = variance_shares(job.process, job.setup, job.between, samples=samples)
+    write_shares(target / "variance.csv", found, INNER_UNITS)
+    _draw(shares_plot.variance_bars(found), target / "variance")
+    return found
+
+
+def _draw(figure, path: Path) -> None:
+    for kind in (".png", ".svg"):
+        plots.save(figure, path.with_suffix(kind))
+
+
 def _write(matrix: Sensitivity, target: Path) -> None:
     write_sensitivity(target / "sensitivity.csv", matrix, INNER_UNITS)
-    plots.save(
-        plots.sensitivities(
-            np.asarray(matrix.elasticities), matrix.outcomes, matrix.settings
-        ),
-        target / "sensitivity.png",
+    figure = plots.sensitivities(
+        np.asarray(matrix.elasticities), matrix.outcomes, matrix.settings
     )
+    _draw(figure, target / "sensitivity")
 
 
 def texture_patch(tuning: Tuning, job: Job, config: StepConfig):

@@ -29,12 +29,12 @@ optimize.model optimize.box optimize.values optimize.penalty optimize.certificat
 optimize.naming
 optimize.steering optimize.outer optimize.implicit optimize.adapted
 optimize.auglag optimize.goals optimize.uncertainty optimize.tune optimize.basins
-optimize.sensitivity
+optimize.sensitivity optimize.variance
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
-postprocess plots report basin_report results plan_report session program fit sensitivity
-attribution
+postprocess plots shares_plot report basin_report results plan_report session program
+fit sensitivity attribution
 measure
 calibrate
 texture.__main__

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..optimize.attribution import Attribution
 from ..optimize.sensitivity import Sensitivity
+from ..optimize.variance import Variance
 from .document import write_text
 
 
@@ -83,6 +84,33 @@ def write_sensitivity(path: Path, matrix: Sensitivity, units: Mapping[str, str])
                 f"{float(matrix.elasticities[i, j]):.9g}"
             )
     write_text(path, "\n".join(lines) + "\n")
+
+
+def write_shares(path: Path, found: Variance, units: Mapping[str, str]) -> None:
+    """Sobol indices as a CSV table, one row per outcome and setting.
+
+    Args:
+        path: Where to.
+        found: The indices.
+        units: Inner unit of each outcome.
+    """
+    rows = [
+        [
+            outcome,
+            units.get(outcome, "1"),
+            setting,
+            float(found.deviations[i]),
+            *(float(each[i, j]) for each in (found.first, *found.first_between)),
+            *(float(each[i, j]) for each in (found.total, *found.total_between)),
+            found.samples,
+        ]
+        for i, outcome in enumerate(found.outcomes)
+        for j, setting in enumerate(found.settings)
+    ]
+    ends = ("", "_low", "_high")
+    heads = ["outcome", "unit", "setting", "deviation"]
+    heads += [kind + end for kind in ("first", "total") for end in ends] + ["samples"]
+    write_table(path, heads, rows)
 
 
 def write_attribution(path: Path, split: Attribution, units: Mapping[str, str]) -> None:
