@@ -94,7 +94,7 @@ notebooks-check: $(DEV)
 sensitivity: $(DEV)
 	@for config in $(CONFIGS); do \
 	  echo "polishopt.sensitivity $$config"; \
-	  $(RUN) -m polishopt.sensitivity $$config -o build/$$(basename $$config .yaml) || exit 1; \
+	  $(RUN) -m polishopt.sensitivity $$config --samples 64 -o build/$$(basename $$config .yaml) || exit 1; \
 	done
 
 bench: $(CORE)

@@ -178,7 +178,7 @@ def along(process: Process, setup: Setup) -> Stations:
             moving, (zero,), (one,), has_aux=True
         )
         pace = one
-        if not setup.level:  # else the axis keeps its distance from the pole
+        if not setup.flat:  # else the axis keeps its distance from the pole
             _, aside = jax.jvp(lambda s: place_at(s, phase).axis, (s,), (one,))
             cell = jnp.stack([spacing * turning, weight * aside])
             pace = pole_pace(place.axis, cell, setup.machine)

@@ -19,7 +19,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--samples",
         type=_power_of_two,
-        default=64,
+        default=256,
         metavar="N",
         help="points drawn between the bounds for the shares of variance, a power of two",
     )

@@ -29,10 +29,8 @@ def variance_bars(found: Variance) -> Figure:
         axes.hlines(base[:, j], low, high, color=GREY, linewidth=1)
     axes.set_yticks(np.arange(rows), [name.replace("_", " ") for name in found.outcomes])
     axes.invert_yaxis()
-    axes.set_xlim(0, max(1.02, float(np.nanmax([1.0, *found.total_between[1].ravel()]))))
+    axes.set_xlim(0, 1.25)  # bounds of few samples may reach further than any share
     axes.set_xlabel("share of the variance [-]: dark by itself, light with others too")
-    axes.set_title(
-        f"What makes the outcomes vary between the bounds ({found.samples} samples)"
-    )
+    axes.set_title(f"What makes outcomes vary between the bounds ({found.samples} samples)")
     figure.legend(loc="outside right upper", frameon=False)
     return figure

@@ -20,7 +20,9 @@ SETUP = job(
     load(Path(__file__).parent.parent / "configs" / "pessoles2009_plane.yaml").config
 ).setup
 START = Process(0.1, 0.3, 1.0, 6.0, 16.7, 209.0)
-BOX = dict.fromkeys(("one", "two", "three"), (-np.pi, np.pi))
+BOX: dict[str, tuple[float, float]] = dict.fromkeys(
+    ("one", "two", "three"), (-np.pi, np.pi)
+)
 
 
 def ishigami(x):

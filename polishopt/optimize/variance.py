@@ -26,7 +26,7 @@ from ..stored import stored
 from .sensitivity import OUTCOMES
 
 
-SAMPLES = 64  # a power of two; the chain runs (settings + 2) times as often
+SAMPLES = 256  # a power of two; the chain runs (settings + 2) times as often
 AT_ONCE = 64  # points in one call of the compiled chain
 CONFIDENCE = 0.95
 # an outcome that varies less than this share of its size has no variance to divide
