@@ -115,6 +115,7 @@ def test_fit_leaves_every_file_and_no_half_ones(fitted):
         "texture.x3p",
         "sensitivity.csv",
         "sensitivity.png",
+        "sensitivity.svg",
         "path.png",
         "feed.png",
         "contact.png",
@@ -180,10 +181,22 @@ def test_maps_carry_units(fitted):
 def test_sensitivity_command_draws_again(tmp_path, cache):
     config = CONFIGS / "pessoles2009_plane.yaml"
     ran = command(
-        "polishopt.sensitivity", config, "-o", tmp_path, *SMALL, POLISHOPT_CACHE=cache
+        "polishopt.sensitivity",
+        config,
+        "-o",
+        tmp_path,
+        "--samples=8",
+        *SMALL,
+        POLISHOPT_CACHE=cache,
     )
     assert ran.returncode == 0, ran.stderr
     lines = (tmp_path / "sensitivity.csv").read_text().splitlines()
     assert lines[0].startswith("outcome,setting")
     assert any(line.startswith("Ssk,tilt,") for line in lines)
     assert (tmp_path / "sensitivity.png").stat().st_size > 10_000
+    lines = (tmp_path / "variance.csv").read_text().splitlines()
+    assert len(lines) == 1 + 10 * 4
+    assert lines[1].startswith("Ssk,1,tilt,")
+    assert lines[1].endswith(",8")
+    for name in ("sensitivity", "variance"):
+        assert (tmp_path / f"{name}.svg").read_text().startswith("<?xml")
