@@ -10,7 +10,7 @@ from .files.config import Loaded
 from .optimize.basins import Basin
 from .optimize.certificate import Status
 from .optimize.tune import Tuning
-from .report import empty_table, key_of
+from .report import SYMBOLS, empty_table, key_of
 from .units import from_internal, label, suffix
 
 
@@ -31,10 +31,7 @@ def basin_table(found: Sequence[Basin], tuning: Tuning, loaded: Loaded) -> Table
     cost = ("force [N]" if force else "time [min]") if reached else "miss [tolerances]"
     keys = {key.removesuffix("_" + suffix(key)): key for key in config.tuned()}
     names = {name: keys[key_of(name)] for name in found[0].answer}
-    columns = (
-        f"{key_of(name).replace('_', ' ')} [{label(suffix(key))}]"
-        for name, key in names.items()
-    )
+    columns = (f"{SYMBOLS[name]} [{label(suffix(key))}]" for name, key in names.items())
     table = empty_table("Answers", "", "starts", *map(escape, (cost, *columns)))
     for i, basin in enumerate(found[:MOST]):
         value = basin.distance
