@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from polishopt.parts import Abrasive
+from xla_flags import FLAGS
 
 
 def abrasive(**changes):
@@ -28,14 +29,13 @@ def abrasive(**changes):
 def fast_jit(f: Callable) -> Callable:
     """`filter_jit`, fully optimised after all: for what runs longer than it compiles."""
     jit: Any = eqx.filter_jit
-    return jit(
-        f,
-        compiler_options={
-            "xla_backend_optimization_level": 3,
-            "xla_llvm_disable_expensive_passes": False,
-            "xla_cpu_use_fusion_emitters": True,
-        },
-    )
+    options = {
+        "xla_backend_optimization_level": 3,
+        "xla_llvm_disable_expensive_passes": False,
+    }
+    if "xla_cpu_use_fusion_emitters" in FLAGS:
+        options["xla_cpu_use_fusion_emitters"] = True
+    return jit(f, compiler_options=options)
 
 
 def assert_close(got, want, rtol=1e-9, atol=0.0):
