@@ -7,53 +7,23 @@ cost. Its derivatives are scipy's forward differences. Compiling is left out for
     python benchmarks/bench_differences.py [config] [starts]
 """
 
-import dataclasses
 import statistics
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from bench_tune import CONFIGS, FEASIBLE, HIT
-from polishopt.chain import polish
+from bench_tune import CONFIGS, FEASIBLE, HIT, Once, model
 from polishopt.files.assemble import job as assemble
 from polishopt.files.config import load
-from polishopt.optimize.tune import excesses, misses, spread_starts, tune
+from polishopt.optimize.tune import spread_starts, tune
 from scipy.optimize import minimize
 
 
 jax.config.update("jax_enable_x64", True)
 OPTIONS = {"maxiter": 200, "ftol": 1e-12}
 RUNS = 3
-
-
-def chain(job, secondary):
-    """Misses, excesses and cost as a jitted function of box units, counted and kept."""
-    names = list(job.between)
-    low = jnp.asarray([job.between[name][0] for name in names])
-    width = jnp.asarray([job.between[name][1] for name in names]) - low
-
-    @jax.jit
-    def values(t):
-        x = dict(zip(names, low + width * t, strict=True))
-        outcome = polish(dataclasses.replace(job.process, **x), job.setup)
-        cost = outcome.force_max if secondary == "force" else outcome.time / 60
-        missed, over = misses(outcome, job.target), excesses(outcome, job.limits)
-        return jnp.stack(list(missed.values())), jnp.stack(list(over.values())), cost
-
-    known: dict[str, Any] = {"count": 0}
-
-    def once(t):
-        key = np.asarray(t).tobytes()
-        if known.get("key") != key:
-            known["key"], known["value"] = key, jax.device_get(values(jnp.asarray(t)))
-            known["count"] += 1
-        return known["value"]
-
-    return names, np.asarray(low), np.asarray(width), once, known
 
 
 def slsqp(once, start):
@@ -80,7 +50,8 @@ def main():
     count = int(sys.argv[2]) if sys.argv[2:] else 16
     loaded = load(path)
     job, secondary = assemble(loaded.config), loaded.config.secondary
-    names, low, width, once, known = chain(job, secondary)
+    names, low, width, values = model(job, secondary)
+    once, low, width = Once(values), np.asarray(low), np.asarray(width)
     first = {name: float(getattr(job.process, name)) for name in names}
     places = spread_starts(first, job.between, count)
     starts = np.stack([np.asarray(places[n]) for n in names], axis=1)
@@ -94,12 +65,12 @@ def main():
         return float(cost), int(tuning.verdict), int(tuning.evaluations.sum())
 
     def theirs():
-        known["count"], best = 0, np.inf
+        once.count, best = 0, np.inf
         for start in starts:
             missed, over, cost = once(slsqp(once, (start - low) / width))
             if np.max(np.abs(missed)) <= HIT and np.max(over) <= FEASIBLE:
                 best = min(best, float(cost))
-        return best, known["count"]
+        return best, once.count
 
     ours(), once((starts[0] - low) / width)
     took = {"ours": [], "SLSQP": []}

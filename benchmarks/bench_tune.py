@@ -31,8 +31,8 @@ FEASIBLE = 1e-6  # violation, in units of the limit over its own size
 HIT = 1e-3  # tolerances
 
 
-def problem(job, secondary):
-    """Misses, excesses and cost by box units, with their Jacobian."""
+def model(job, secondary):
+    """Names, lower bounds, widths; misses, excesses and cost as a function of box units."""
     names = list(job.between)
     low = jnp.asarray([job.between[name][0] for name in names])
     width = jnp.asarray([job.between[name][1] for name in names]) - low
@@ -47,6 +47,13 @@ def problem(job, secondary):
             jnp.stack(list(excesses(outcome, job.limits).values())),
             cost,
         )
+
+    return names, low, width, values
+
+
+def problem(job, secondary):
+    """The same with its Jacobian."""
+    names, low, width, values = model(job, secondary)
 
     def both(t):
         tangents = jax.jacfwd(lambda t: (values(t),) * 2, has_aux=True)

@@ -30,7 +30,7 @@ class Basin(NamedTuple):
 
 
 def basins(tuning: Tuning, between: Mapping[str, tuple[float, float]]) -> list[Basin]:
-    """The distinct answers at stationary points, the best first.
+    """The answer and all others at stationary points that differ from it, the best first.
 
     Where the target was reached, only searches that went on to the least cost have an
     answer of their own: all others stopped somewhere in the family that meets the target.
@@ -41,13 +41,14 @@ def basins(tuning: Tuning, between: Mapping[str, tuple[float, float]]) -> list[B
     """
     statuses, followed = np.asarray(tuning.statuses), np.asarray(tuning.followed)
     distances, costs = np.asarray(tuning.distances), np.asarray(tuning.costs)
-    ended = statuses == Status.SOLVED
+    # the answer itself is one even where its search ran out of work
+    ended = (statuses == Status.SOLVED) | (np.arange(statuses.size) == int(tuning.best))
     if followed.any():
         ended, rank = ended & followed, costs
     else:
         rank = distances
     names = list(between)
-    width = np.asarray([high - low for low, high in between.values()])
+    width = np.asarray([high - low if high > low else 1 for low, high in between.values()])
     places = np.stack([np.asarray(tuning.answers[name]) for name in names], axis=1) / width
     found: list[list[int]] = []
     for i in (int(i) for i in np.argsort(rank, kind="stable") if ended[i]):

@@ -79,18 +79,15 @@ def sobol_shares(
         raise ValueError(f"`samples` is {samples}, must be a power of two from 2 on.")
     from scipy import stats  # takes longer to import than all of JAX
 
-    deviations = np.zeros(len(outcomes))
+    drawn = []
     low, high = (
         np.asarray(end, dtype=float) for end in zip(*between.values(), strict=True)
     )
     shape = (len(outcomes), len(between))
 
     def rows(x):
-        found = np.asarray(function(x.T), dtype=float).T
-        if found.shape[1] == samples:
-            nonlocal deviations
-            deviations = np.std(found, axis=1)
-        return found
+        drawn.append(np.asarray(function(x.T), dtype=float).T)
+        return drawn[-1]
 
     box = [stats.uniform(a, b - a) for a, b in zip(low, high, strict=True)]
     with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
@@ -116,7 +113,8 @@ def sobol_shares(
         outcomes=tuple(outcomes),
         settings=tuple(between),
         samples=samples,
-        deviations=deviations,
+        # of the two independent samples, which are asked for first
+        deviations=np.std(np.concatenate(drawn[:2], axis=1), axis=1),
         first=one,
         first_between=np.stack([one_low, one_high]),
         total=all_,
