@@ -33,7 +33,8 @@ optimize.sensitivity optimize.variance
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
-postprocess plots shares_plot report basin_report results plan_report session program
+postprocess plots feed_plot shares_plot report basin_report results plan_report session
+program
 fit sensitivity attribution
 measure
 calibrate
