@@ -16,16 +16,14 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from .contact.removal import Grid
 from .path.surface import Surface
-from .plots import GREY, MAP, SEVERAL
-from .resolved import PER_LOOP, Run
-from .setup import Setup
+from .plots import BLUE, GREY, MAP, SEVERAL
 from .stored import stored
 from .texture.spectrum import Spectrum, radial_mean
 from .units import from_internal, label
 
 
-# Points of each loop that are drawn, and lines of the part along either side.
-LOOP_POINTS, MESH = 16, 25
+# Lines of the part along either side.
+MESH = 25
 # Least height of a drawn part, over its longest side: flat parts are drawn taller.
 LEAST_HEIGHT = 0.12
 
@@ -35,30 +33,38 @@ def _points(surface, xy):
     return jax.vmap(jax.vmap(surface))(xy)
 
 
-def path_on_part(run: Run, setup: Setup) -> Figure:
-    """The path on the part in space, coloured by the feed that is reached.
+def path_on_part(
+    surface: Surface,
+    size: Float[Array, "2"],
+    contact: Float[Array | np.ndarray, "n 3"],
+    feed: Float[Array | np.ndarray, " n"] | None = None,
+) -> Figure:
+    """A path on the part in space.
 
     Args:
-        run: The resolved path.
-        setup: The job.
+        surface: The part.
+        size: Sides of its parameter plane [mm].
+        contact: Points of the path, as `Posture.contact` has them [mm].
+        feed: Feed at each of them, as colour; None for one colour [mm/s].
     """
-    part = _mesh(setup.surface, setup.size)
-    few = slice(None, None, max(1, PER_LOOP // LOOP_POINTS))
-    path = np.asarray(run.posture.contact)[few]
-    feed = np.asarray(run.law.feed)[few] * from_internal(1.0, "mm_min")
-
+    part, path = _mesh(surface, size), np.asarray(contact)
     figure = Figure((8, 6), layout="constrained")
     axes = figure.add_subplot(projection="3d")
     axes.plot_surface(
         *np.moveaxis(part, -1, 0), color=GREY, alpha=0.25, linewidth=0, shade=False
     )
-    scale = Normalize(0, max(float(feed.max()), 1e-9))
-    pieces = np.stack([path[:-1], path[1:]], axis=1)
-    lines = Line3DCollection(list(pieces), cmap=MAP, norm=scale, linewidth=0.7)
-    lines.set_array((feed[:-1] + feed[1:]) / 2)
-    axes.add_collection3d(lines)
+    if feed is None:
+        axes.plot(*path.T, color=BLUE, linewidth=0.7)
+    else:
+        shown = np.asarray(feed) * from_internal(1.0, "mm_min")
+        scale = Normalize(0, max(float(shown.max()), 1e-9))
+        pieces = np.stack([path[:-1], path[1:]], axis=1)
+        lines = Line3DCollection(list(pieces), cmap=MAP, norm=scale, linewidth=0.7)
+        lines.set_array((shown[:-1] + shown[1:]) / 2)
+        axes.add_collection3d(lines)
+        text = f"feed [{label('mm_min')}]"
+        figure.colorbar(lines, ax=axes, label=text, shrink=0.6, pad=0.08)
     _in_proportion(axes, np.concatenate([part.reshape(-1, 3), path]))
-    figure.colorbar(lines, ax=axes, label=f"feed [{label('mm_min')}]", shrink=0.6, pad=0.08)
     return figure
 
 
@@ -81,36 +87,37 @@ def _in_proportion(axes, points: np.ndarray) -> None:
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     # a part without height still needs a scale
     axes.set_zlim(low[2], low[2] + span[2])
-    axes.locator_params(axis="z", nbins=3)
+    for name, side in zip("xyz", shown / shown.max(), strict=True):
+        axes.locator_params(axis=name, nbins=max(2, round(7 * side)))
     if 1.05 < taller < 1e4:
         axes.set_title(f"Heights are drawn {taller:.1f} times as large")
 
 
 def coverages(maps: Mapping[str, np.ndarray | Array], grid: Grid) -> Figure:
-    """Local coverages of several paths over the sheet, on one scale.
+    """Local coverages of several paths over the sheet, each against its mean.
 
     Args:
         maps: By name, each from `coverage` [1/mm]; NaN where it does not count.
         grid: Their pixels.
     """
-    shown = {name: np.asarray(values) for name, values in maps.items()}
-    top = max(float(np.nanmax(values)) for values in shown.values())
-    figure = Figure((3.6 * len(shown) + 1, 3.9), layout="constrained")
-    across = figure.subplots(1, len(shown), squeeze=False)[0]
+    figure = Figure((3.6 * len(maps) + 1, 3.9), layout="constrained")
+    across = figure.subplots(1, len(maps), squeeze=False)[0]
     (x, y), (wide, high) = np.asarray(grid.origin), np.asarray(grid.size)
-    scale = Normalize(0, top)
-    for axes, (name, values) in zip(across, shown.items(), strict=True):
-        axes.imshow(
-            values, origin="lower", extent=(x, x + wide, y, y + high), cmap=MAP, norm=scale
-        )
-        mean = float(np.nanmean(values))
-        uneven = from_internal(float(np.nanstd(values)) / mean, "percent")
-        axes.set_title(f"{name}\nmean {mean:.3g}/mm, varies by {uneven:.1f} %")
+    off, means = {}, {}
+    for name, values in maps.items():
+        means[name] = float(np.nanmean(values))
+        off[name] = from_internal(1.0, "percent") * (np.asarray(values) / means[name] - 1)
+    top = max(float(np.nanmax(np.abs(values))) for values in off.values())
+    scale = Normalize(-max(top, 1e-9), max(top, 1e-9))
+    extent = (x, x + wide, y, y + high)
+    for axes, (name, values) in zip(across, off.items(), strict=True):
+        axes.imshow(values, origin="lower", extent=extent, cmap=MAP, norm=scale)
+        spread = float(np.nanstd(values))
+        axes.set_title(f"{name}\nmean {means[name]:.3g}/mm, varies by {spread:.1f} %")
         axes.set_xlabel("x [mm]")
     across[0].set_ylabel("y [mm]")
-    figure.colorbar(
-        ScalarMappable(scale, MAP), ax=list(across), label="coverage [1/mm]", shrink=0.8
-    )
+    text = f"coverage off its mean [{label('percent')}]"
+    figure.colorbar(ScalarMappable(scale, MAP), ax=list(across), label=text, shrink=0.8)
     return figure
 
 

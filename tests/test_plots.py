@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from polishopt import path_plots, plots
+from polishopt import plots
 from polishopt.chain import Outcome
 from polishopt.contact.pressure import flat_area, flat_force
 from polishopt.parts import Abrasive, Machine, Process, Tool
@@ -112,24 +112,6 @@ def test_path_shows_the_disc_where_it_touches(plane):
     # the contact point is a point of the rim, and no point is further than a diameter
     assert away.min() < 1e-9
     assert away.max() <= 2 * float(setup.tool.radius) + 1e-9
-
-
-def test_path_on_part(plane):
-    """In space: on the plane, and lifted on a dome that is drawn taller than it is."""
-    _, setup, path = plane
-    figure = path_plots.path_on_part(path, setup)
-    assert "x [mm]" in labels(figure)
-    assert "feed [mm/min]" in labels(figure)
-    assert not titles(figure).strip()
-    dome = SphereCap(setup.size, jnp.asarray(40.0))
-    setup = eqx.tree_at(lambda s: s.surface, setup, dome)
-    lifted = jax.vmap(dome)(path.posture.xy)
-    path = eqx.tree_at(lambda p: p.posture.contact, path, lifted)
-    figure = path_plots.path_on_part(path, setup)
-    assert "Heights are drawn" in titles(figure)
-    z = lifted[:, 2]
-    low, high = figure.axes[0].get_zlim()  # pyright: ignore[reportAttributeAccessIssue]
-    assert low <= float(z.min()) < float(z.max()) <= high + 1e-12
 
 
 def test_feed_names_what_limits(plane):
