@@ -266,26 +266,21 @@ def left_by(guide, radius, samples, limit):
 
 
 head = (
-    "| feed | path | path on area [1/mm] | time [min] | ripple rms [%] | strongest wave, in s "
-    "| its density [mm²] | peak/median | the same of the mean over directions |"
+    "| feed | path | path on area [1/mm] | time [min] | ripple rms [%] "
+    "| strongest wave, in 1/s | its density [mm²] | peak/median | the same of the mean over "
+    "directions |"
 )
 rows, spectra, seen = [head, "|---|" + "---|" * 8], {}, {}
 for feed, limit in (("constant", none), ("the machine's", own)):
     for name, (guide, radius, samples) in ripple.items():
         z, minutes, density = left_by(guide, radius, samples, limit)
         found, ratio, rms, wave, (frequency, mean) = measured(z)
-        inside = (frequency >= band[0]) & (frequency <= band[1])
-        top = jnp.max(
-            jnp.where(
-                (found.frequency >= band[0]) & (found.frequency <= band[1]),
-                found.density,
-                0,
-            )
-        )
-        ring = mean[inside]
+        counts = (found.frequency >= band[0]) & (found.frequency <= band[1])
+        top = float(jnp.max(jnp.where(counts, found.density, 0)))
+        ring = mean[(frequency >= band[0]) & (frequency <= band[1])]
         rows.append(
             f"| {feed} | {name} | {density:.2f} | {minutes:.2f} | {100 * float(rms):.1f} "
-            f"| {step * float(jnp.hypot(*wave)):.2f} | {float(top):.2g} | **{float(ratio):.1e}** "
+            f"| {step * float(jnp.hypot(*wave)):.2f} | {top:.2g} | **{float(ratio):.1e}** "
             f"| {float(jnp.max(ring) / jnp.median(ring)):.0f} |"
         )
         if feed == "constant":
