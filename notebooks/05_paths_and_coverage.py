@@ -216,8 +216,8 @@ path_plots.path_on_part(insert, jnp.asarray(SLENDER), posture.contact)
 # along the Hilbert curve, and so has more path. Removal maps are those of one run, with all
 # its ripple, over their mean; 6 mm along the borders are left out.
 #
-# A spectrum shows what the ripple consists of. Its peak over its median, from 0.3 to 2.5
-# waves in s, says whether the power is in a few lines or spread out.
+# A spectrum shows what the ripple consists of. Its peak over its median, between the
+# frequencies $0.3/s$ and $2.5/s$, says whether the power is in a few lines or spread out.
 
 # %%
 count = 13
@@ -267,8 +267,8 @@ def left_by(guide, radius, samples, limit):
 
 head = (
     "| feed | path | path on area [1/mm] | time [min] | ripple rms [%] "
-    "| strongest wave, in 1/s | its density [mm²] | peak/median | the same of the mean over "
-    "directions |"
+    "| strongest wave, in 1/s | its density [mm²] | peak/median "
+    "| the same of the mean over directions |"
 )
 rows, spectra, seen = [head, "|---|" + "---|" * 8], {}, {}
 for feed, limit in (("constant", none), ("the machine's", own)):
