@@ -35,13 +35,8 @@ optimize.sensitivity optimize.variance
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
-<<<<<<< HEAD
-postprocess plots shares_plot path_plots report basin_report results plan_report
+postprocess plots feed_plot shares_plot path_plots report basin_report results plan_report
 session program
-=======
-postprocess plots feed_plot shares_plot report basin_report results plan_report session
-program
->>>>>>> main
 fit sensitivity attribution
 measure
 calibrate
