@@ -214,7 +214,8 @@ path_plots.path_on_part(insert, jnp.asarray(SLENDER), posture.contact)
 # path: lines $s = 50/13$ mm apart, a Hilbert curve with cells as wide, and the Peano path
 # whose segments are nearly $2 s$. The fourth rolls a trochoid of radius $s/2$ and step 2 mm
 # along the Hilbert curve, and so has more path. Removal maps are those of one run, with all
-# its ripple, over their mean; 6 mm along the borders are left out.
+# its ripple, over their mean; 6 mm along the borders are left out. The feed is constant
+# first, and then what the axes of the machine reach with their speeds and accelerations.
 #
 # A spectrum shows what the ripple consists of. Its peak over its median, between the
 # frequencies $0.3/s$ and $2.5/s$, says whether the power is in a few lines or spread out.

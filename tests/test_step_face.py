@@ -3,7 +3,7 @@
 # the kernel comes without types
 # pyright: reportAttributeAccessIssue=false, reportFunctionMemberAccess=false
 
-import importlib.util
+import sys
 from pathlib import Path
 
 import equinox as eqx
@@ -441,6 +441,7 @@ def test_files_that_cannot_be_read(tmp_path, capsys, monkeypatch):
         said = capsys.readouterr().err
         assert "part.file: " in said
         assert says in said
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.delitem(sys.modules, "polishopt.files.occt")
+    monkeypatch.setitem(sys.modules, "OCP", None)
     assert main([str(path), "--check"]) == 2
     assert "pip install 'polishopt[cad]'" in capsys.readouterr().err

@@ -4,7 +4,6 @@ The file is read by a CAD kernel, the optional extra `cad` (see `occt`). It take
 second to load, so that is only done when there is a face to read.
 """
 
-import importlib.util
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -67,13 +66,13 @@ def read_face(path: str | Path, index: int | None = None) -> Patch:
         path.open("rb").close()
     except OSError as error:
         raise StepFaceError(f"{path} cannot be read: {error}") from None
-    if importlib.util.find_spec("OCP") is None:
+    try:
+        from .occt import faces, patch
+    except ImportError as error:
         raise StepFaceError(
             f"{path} takes a CAD kernel to be read; install it with "
-            "`pip install 'polishopt[cad]'`"
-        )
-    from .occt import faces, patch
-
+            f"`pip install 'polishopt[cad]'` ({error})"
+        ) from None
     found = faces(str(path))
     if not found:
         raise StepFaceError(f"{path} holds no face, must hold a surface or a solid")
