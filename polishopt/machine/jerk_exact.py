@@ -25,7 +25,7 @@ from .sweep import Limits
 # Places in each interval where limits are looked at, its ends included; the use of a speed
 # or an acceleration, and of a jerk, that will do; how often limits are made tighter; and
 # points differentiated at a time.
-PLACES, ENOUGH, ENOUGH_JERK, ROUNDS, AT_ONCE = 7, 1.0003, 1.01, 12, 1024
+PLACES, ENOUGH, ENOUGH_JERK, ROUNDS, AT_ONCE = 9, 1.0003, 1.01, 12, 1024
 
 
 def slopes(
