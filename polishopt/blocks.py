@@ -96,7 +96,7 @@ def cut(path: Run, process: Process, setup: Setup, tolerance: float) -> Blocks:
     )
     s, radius = np.asarray(path.s), float(setup.tool.radius)
     machine = setup.machine
-    given = (setup.surface, setup.guide, process, setup.tool.radius)
+    given = (setup.surface, setup.guide, process, setup.tool.radius, path.held)
     lean = (setup.pulling, setup.lean)
 
     def at(where: np.ndarray) -> Poses:
@@ -229,8 +229,8 @@ def chunks(function: Callable, *columns: np.ndarray) -> list[np.ndarray]:
 @stored
 def _placed(s, near, machine, given, lean):
     """Tips, tool axes and axis positions at places of the guide, on the branch nearby."""
-    surface, guide, process, radius = given
-    posture = resolved(surface, guide, process, radius, s, *lean)
+    surface, guide, process, radius, held = given
+    posture = resolved(surface, guide, process, radius, s, *lean, displacement=held)
 
     one, two = rotary_order(machine)
 

@@ -6,6 +6,8 @@ bed's stiffness and in the measured unstick forces: for normal errors of these i
 and $\sigma_m$ exact.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -33,6 +35,7 @@ def margin_deviations(
     setup: Setup,
     curvatures: Float[Array, "k 2 2"],
     forces: Float[Array, " k"],
+    displacements: Float[Array, " k"],
 ) -> tuple[Scalar, Scalar]:
     """Standard deviations of the unstick margin [N] and of the shear margin [MPa].
 
@@ -41,10 +44,11 @@ def margin_deviations(
     error.
 
     Args:
-        process: Tilt and displacement are read.
+        process: Tilt is read.
         setup: The job; tool and errors are read.
         curvatures: Of the part along the path, averaged over each loop [1/mm].
         forces: Force there [N].
+        displacements: Displacement there [mm].
 
     Source: first-order propagation of errors, by forward-mode differentiation.
     """
@@ -53,7 +57,10 @@ def margin_deviations(
         zero = jnp.zeros_like(process.tilt)
         return zero, zero
     sampling = setup.sampling
-    hardest = curvatures[jnp.argmax(forces)]
+    most = jnp.argmax(forces)
+    hardest = curvatures[most]
+    process = dataclasses.replace(process, displacement=displacements[most])
+    deepest = dataclasses.replace(process, displacement=jnp.max(displacements))
     curvature = jnp.zeros_like(hardest) if setup.level else hardest
 
     def margins(values):
@@ -68,7 +75,7 @@ def margin_deviations(
             setup.panels,
         )
         unstick = unstick_force(process.tilt, tool) - touch.force
-        return jnp.stack([unstick, shear_margin(process, tool)])
+        return jnp.stack([unstick, shear_margin(deepest, tool)])
 
     values = jnp.stack([part(setup, name) for name in errors])
     unstick, shear = jax.jacfwd(margins)(values)

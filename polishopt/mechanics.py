@@ -8,6 +8,7 @@ closed form. Along the guide, each station carries one loop of the trochoid: its
 the fastest the axes allow for that loop run again and again.
 """
 
+import dataclasses
 import math
 
 import equinox as eqx
@@ -26,6 +27,7 @@ from .contact.pressure import (
 )
 from .contact.removal import deposit, fraction_inside, preston_rates
 from .contact.ripple import Ripple, ripple
+from .hold import held_displacement, loop_bend
 from .machine.feed import Limits
 from .machine.kinematics import rotary
 from .machine.loop import axis_slopes, loop_rate, pole_pace
@@ -54,6 +56,10 @@ class Mechanics(eqx.Module):
     """Force normal to the part, averaged over time [N]."""
     force_max: Scalar
     """Its largest value along the path [N]."""
+    force_min: Scalar
+    """Its smallest value along the path, where the tool is not lifted [N]."""
+    displacement_max: Scalar
+    """Largest displacement along the path [mm]."""
     pressure: Scalar
     """Mean pressure in the contact [MPa]."""
     contact_area: Scalar
@@ -108,6 +114,8 @@ class Stations(eqx.Module):
     """Time on the way with the tool lifted, which no dwell counts, one pass [s]."""
     curvature: Float[Array, "*k 2 2"]
     """Normal curvature of the part along (feed, left), averaged over the loop [1/mm]."""
+    displacement: Float[Array, "*k"]
+    """Displacement of the disc [mm]."""
     force: Float[Array, "*k"]
     """Force normal to the part [N]."""
     area: Float[Array, "*k"]
@@ -139,16 +147,16 @@ def along(process: Process, setup: Setup) -> Stations:
     spacing = process.step / count
     surface, grid = setup.surface, setup.grid
 
-    def footing(bend):
+    def footing(process, bend):
         sampling = setup.sampling
         return patch(
             process, setup.tool, bend, side, sampling.rows, sampling.columns, setup.panels
         )
 
     # one contact patch serves all phases of a loop, and on a plane all stations
-    level = footing(jnp.zeros((2, 2), dtype=s.dtype)) if setup.level else None
+    level = footing(process, jnp.zeros((2, 2), dtype=s.dtype)) if setup.level else None
 
-    def place_at(s, phase):
+    def place_at(process, s, phase):
         return posture(
             surface,
             setup.guide(s),
@@ -159,11 +167,11 @@ def along(process: Process, setup: Setup) -> Stations:
             setup.lean,
         )
 
-    def at(s, weight, phase):
+    def at(process, s, weight, phase):
         zero, one = jnp.zeros_like(s), jnp.ones_like(s)
 
         def move(t):
-            place = place_at(s + t, phase + 2 * jnp.pi * t / process.step)
+            place = place_at(process, s + t, phase + 2 * jnp.pi * t / process.step)
             way = place.contact
             if "stretch" in setup.idealised:
                 way = jnp.pad(place.xy, (0, 1))
@@ -179,7 +187,7 @@ def along(process: Process, setup: Setup) -> Stations:
         )
         pace = one
         if not setup.flat:  # else the axis keeps its distance from the pole
-            _, aside = jax.jvp(lambda s: place_at(s, phase).axis, (s,), (one,))
+            _, aside = jax.jvp(lambda s: place_at(process, s, phase).axis, (s,), (one,))
             cell = jnp.stack([spacing * turning, weight * aside])
             pace = pole_pace(place.axis, cell, setup.machine)
         dq, ddq = axis_slopes((place.tip, angles), first, second, pace, setup.machine)
@@ -202,7 +210,13 @@ def along(process: Process, setup: Setup) -> Stations:
 
     def station(given):
         s, weight = given
-        place, tangent, dq, ddq = jax.vmap(at, in_axes=(None, None, 0))(s, weight, phases)
+        here = process
+        if setup.holds:
+            found = held_displacement(process, setup, loop_bend(process, setup, s))
+            here = dataclasses.replace(process, displacement=found)
+        place, tangent, dq, ddq = jax.vmap(at, in_axes=(None, None, None, 0))(
+            here, s, weight, phases
+        )
         rate = jnp.sqrt(jnp.sum(tangent**2, axis=1))
         speed = loop_rate(dq, ddq, rate, spacing, process.feed, limits)
         contact = setup.guide(s).contact
@@ -210,7 +224,7 @@ def along(process: Process, setup: Setup) -> Stations:
         weight = contact * weight
         dwell = weight / count / speed
         mean_bend = jnp.mean(jax.vmap(bend)(place), axis=0)
-        nodes = footing(mean_bend) if level is None else level
+        nodes = footing(here, mean_bend) if level is None else level
         points, volumes = jax.vmap(touch, in_axes=(None, 0, 0, 0, 0))(
             nodes, place, tangent, speed, dwell
         )
@@ -222,6 +236,7 @@ def along(process: Process, setup: Setup) -> Stations:
             length=weight / count * rate,
             idle=idle,
             curvature=mean_bend,
+            displacement=here.displacement,
             force=jnp.where(contact > 0, nodes.force, 0.0),
             area=nodes.contact_area,
             kept=jnp.sum(volumes * fraction_inside(points, grid)),
@@ -251,6 +266,8 @@ def mechanics(process: Process, setup: Setup) -> Mechanics:
     force, area = jnp.sum(share * path.force), jnp.sum(share * path.area)
     pressure = _share(force, area)
     force_max = jnp.max(path.force)
+    force_min = jnp.min(jnp.where(path.weight > 0, path.force, jnp.inf))
+    deepest = dataclasses.replace(process, displacement=jnp.max(path.displacement))
 
     grid = setup.grid
     stretch = jnp.ones(grid.shape, grid.x.dtype)
@@ -283,7 +300,7 @@ def mechanics(process: Process, setup: Setup) -> Mechanics:
     rippled = Population(second, jnp.zeros_like(second), fourth, width)
 
     unstick_deviation, shear_deviation = margin_deviations(
-        process, setup, path.curvature, path.force
+        process, setup, path.curvature, path.force, path.displacement
     )
 
     dwell = process.passes * jnp.sum(path.dwell)
@@ -292,6 +309,8 @@ def mechanics(process: Process, setup: Setup) -> Mechanics:
     return Mechanics(
         force=force,
         force_max=force_max,
+        force_min=force_min,
+        displacement_max=deepest.displacement,
         pressure=pressure,
         contact_area=area,
         effective_diameter=effective_diameter(
@@ -305,10 +324,10 @@ def mechanics(process: Process, setup: Setup) -> Mechanics:
         removal=removal,
         spread=spread,
         ripple=_ratio(bare, mean_removal),
-        body_clearance=body_clearance(process, setup.tool),
+        body_clearance=body_clearance(deepest, setup.tool),
         unstick_margin=unstick_force(process.tilt, setup.tool) - force_max,
         unstick_deviation=unstick_deviation,
-        shear_margin=shear_margin(process, setup.tool),
+        shear_margin=shear_margin(deepest, setup.tool),
         shear_deviation=shear_deviation,
         load=load,
         waves=rippled,
@@ -321,8 +340,9 @@ def _ripple(process: Process, setup: Setup, path: Stations) -> Ripple:
     share = path.weight / jnp.sum(path.weight)
     bend = jnp.einsum("k,kab->ab", share, path.curvature)
     square = jnp.sum(share[:, None] * path.pace**2) / path.pace.shape[1]
+    mean = jnp.sum(share * path.displacement)
     waves = ripple(
-        process,
+        dataclasses.replace(process, displacement=mean),
         setup.tool,
         process.passes * setup.abrasive.preston,
         setup.guide.bends() if setup.lean == "guide" else setup.guide.compass(),

@@ -66,6 +66,8 @@ OUTCOME_UNITS = {
     "Sq": ("nm", "rms height"),
     "force": ("N", "force, mean over time"),
     "force_max": ("N", "force, largest"),
+    "force_min": ("N", "force, smallest along the path"),
+    "displacement_max": ("mm", "displacement, largest"),
     "pressure": ("MPa", "mean contact pressure"),
     "contact_area": ("mm2", "contact area"),
     "effective_diameter": ("mm", "width wiped, D_eff"),

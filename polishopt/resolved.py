@@ -5,6 +5,8 @@ programs and checks. Its removal carries the ripple, and depends on the phase at
 trochoid starts.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,6 +15,7 @@ from jaxtyping import Array, Float
 
 from .contact.pressure import patch
 from .contact.removal import Grid, deposit, preston_rates
+from .hold import Schedule, schedule
 from .machine.exact import exact_time_law
 from .machine.feed import TimeLaw, time_law
 from .machine.jerk import jerk_law
@@ -46,6 +49,8 @@ class Run(eqx.Module):
     """X, Y, Z [mm], A, C [rad]."""
     law: TimeLaw
     """Feed, time and what limits them."""
+    held: Schedule | None = None
+    """The displacement along the guide; None where it is that of the process."""
 
 
 def samples(process: Process, setup: Setup, per_loop: int = PER_LOOP) -> int:
@@ -77,6 +82,7 @@ def run(
 
     Source: S0 (Pessoles & Tournier 2009), section 2.2.3.
     """
+    held = schedule(process, setup)
     uniform = jnp.arange(samples, dtype=setup.size.dtype) / (samples - 1)
 
     def postures(s):
@@ -89,6 +95,7 @@ def run(
             setup.pulling,
             setup.lean,
             phase,
+            displacement=held,
         )
 
     def turning(posture):
@@ -118,7 +125,7 @@ def run(
     else:
         found = exact_jerk_law if jerk else exact_time_law
         law = found(place, s, setup.machine, process.feed)
-    return Run(posture, s, arc, axes, law)
+    return Run(posture, s, arc, axes, law, held)
 
 
 def removal(
@@ -152,13 +159,20 @@ def removal(
     velocity = jnp.where(moves, path.law.feed, 0.0)[:, None] * direction
     surface, tool, side = setup.surface, setup.tool, setup.side
 
-    def footing(bend):
-        return patch(process, tool, bend, side, rows, columns, setup.panels)
+    def footing(bend, displacement):
+        pressed = dataclasses.replace(process, displacement=displacement)
+        return patch(pressed, tool, bend, side, rows, columns, setup.panels)
 
-    level = footing(jnp.zeros((2, 2), dtype=dwell.dtype)) if setup.flat else None
+    displacement = jnp.broadcast_to(process.displacement, path.s.shape)
+    if path.held is not None:
+        displacement = jax.vmap(path.held)(path.s)
+    level = None
+    if setup.flat:
+        level = footing(jnp.zeros((2, 2), dtype=dwell.dtype), process.displacement)
 
-    def touch(xy, f, b, velocity, dwell):
-        nodes = footing(curvature(surface, xy, f, b)) if level is None else level
+    def touch(xy, f, b, velocity, displacement, dwell):
+        bend = curvature(surface, xy, f, b)
+        nodes = footing(bend, displacement) if level is None else level
         slide = jnp.stack([jnp.sum(velocity * f), jnp.sum(velocity * b)])
         rates = preston_rates(
             nodes, setup.abrasive.preston, process.tilt, process.spin, slide, side
@@ -173,7 +187,8 @@ def removal(
         return total + deposit(points.reshape(-1, 2), volumes.reshape(-1), grid), None
 
     posture = path.posture
-    given = (posture.xy, posture.feed_direction, posture.side, velocity, dwell)
+    given = (posture.xy, posture.feed_direction, posture.side, velocity)
+    given = (*given, displacement, dwell)
     count = max(1, NODES_AT_ONCE // (2 * rows * columns))
     tail = -dwell.shape[0] % count
 

@@ -100,6 +100,9 @@ class Setup(eqx.Module):
     """Whether the axis leans towards the feed or away from it."""
     lean: str = eqx.field(static=True, default="guide")
     """Whether it leans along the guide or along a fixed direction."""
+    hold: str = eqx.field(static=True, default="displacement")
+    """What stays the same along the path: "displacement", or "force" or "pressure", which
+    the displacement then follows (see `hold`)."""
     concave: bool = eqx.field(static=True, default=True)
     """Whether the part bends upwards anywhere; False saves half the work in contacts."""
     sampling: Sampling = eqx.field(default_factory=Sampling)
@@ -128,6 +131,11 @@ class Setup(eqx.Module):
     def level(self) -> bool:
         """Whether the part is a plane under the disc, or taken as one."""
         return self.flat or "contact" in self.idealised
+
+    @property
+    def holds(self) -> bool:
+        """Whether the displacement changes along the path; on a plane nothing asks it to."""
+        return self.hold != "displacement" and not self.level
 
     @property
     def panels(self) -> int:

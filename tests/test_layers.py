@@ -24,7 +24,7 @@ texture.feature texture.uncertainty texture.parameters
 texture.milling texture.cutter texture.cutting texture.marks
 texture.planarisation texture.scratches texture.evolution texture.direction
 texture.local texture
-setup constants margin mechanics chain plan resolved
+setup constants margin hold mechanics chain plan resolved
 coverage
 blocks preflight
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate

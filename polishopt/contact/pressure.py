@@ -295,6 +295,30 @@ def body_clearance(process: Process, tool: Tool) -> Scalar:
     return tool.body_recess * jnp.cos(process.tilt) + lift - process.displacement
 
 
+def most_displacement(process: Process, tool: Tool) -> Scalar:
+    r"""Largest displacement that rigid body and adhesive allow [mm].
+
+    The body touches at $e_{crit}$, see `body_clearance`; the adhesive fails where
+    $\mu k(e + \beta e^2) = \tau$, at $e = 2q/(1 + \sqrt{1 + 4\beta q})$ with
+    $q = \tau/(\mu k)$. A bed that softens ($\beta < 0$) may never press so hard.
+
+    Args:
+        process: Tilt is read.
+        tool: Radius, body radius and recess, friction, foundation, stiffening and shear
+            strength are read.
+
+    Source: own derivation.
+    """
+    touching = body_clearance(process, tool) + process.displacement
+    rubs = jnp.isfinite(tool.shear_strength) & (tool.friction > 0)
+    load = jnp.where(rubs, tool.friction * tool.foundation, 1.0)
+    load = jnp.where(rubs, tool.shear_strength, 1.0) / load
+    inside = 1 + 4 * tool.stiffening * load
+    fails = rubs & (inside >= 0)
+    failing = 2 * load / (1 + jnp.sqrt(jnp.where(fails, inside, 1.0)))
+    return jnp.where(fails, jnp.minimum(touching, failing), touching)
+
+
 def unstick_force(tilt: Scalar, tool: Tool) -> Scalar:
     """Force at which the disc comes unstuck at this tilt [N].
 

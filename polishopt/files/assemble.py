@@ -137,6 +137,7 @@ def job(config: StepConfig, first: bool = True) -> Job:
         margin=MARGIN * min(config.part.size_mm) if margin is None else margin,
         pulling=config.guide.mode == "pulling",
         lean=config.guide.lean,
+        hold=config.guide.hold,
         concave=not (
             config.part.surface == "plane"
             or (config.part.surface == "sphere_cap" and config.part.radius_mm > 0)

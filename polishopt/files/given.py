@@ -466,6 +466,10 @@ class Guide(Section):
     """Pulling: the tool axis leans along the travel. Pushing: against it."""
     lean: Literal["guide", "fixed"] = "guide"
     """Lean along the guide curve, or everywhere along the x axis of the part."""
+    hold: Literal["displacement", "force", "pressure"] = "displacement"
+    """What stays the same where the curvature of the part changes: the displacement, or
+    the force or the mean pressure of the contact, which the displacement then follows as
+    far as rigid body and adhesive allow."""
     even: bool = False
     """Lay the curve out by area, so that it covers a curved part as evenly as a plane."""
 

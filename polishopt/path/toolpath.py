@@ -5,6 +5,9 @@ in which the axis leans. The guide's tangent serves for the lean rather than the
 trochoid's, because the axis would otherwise sweep a cone in every loop.
 """
 
+import dataclasses
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -114,6 +117,7 @@ def resolved(
     lean: str = "guide",
     phase0: Scalar | float = 0.0,
     corner_radius: Scalar | float = 0.0,
+    displacement: Callable[[Scalar], Scalar] | None = None,
 ) -> Posture:
     r"""The tool path with every loop of the trochoid.
 
@@ -130,6 +134,8 @@ def resolved(
         lean: "guide" or "fixed", as in `posture`.
         phase0: Phase at the start, $\varphi_0$ [rad].
         corner_radius: Radius of the disc's rounded edge [mm].
+        displacement: Displacement [mm] as a function of the guide's arc length [mm]; that
+            of the process if not given.
 
     Returns:
         The postures, one a row.
@@ -139,11 +145,14 @@ def resolved(
 
     def at(s: Scalar) -> Posture:
         phase = 2 * jnp.pi * s / process.step + phase0
+        pressed = process
+        if displacement is not None:
+            pressed = dataclasses.replace(process, displacement=displacement(s))
         return posture(
             surface,
             guide(s),
             phase,
-            process,
+            pressed,
             tool_radius,
             pulling,
             lean,
