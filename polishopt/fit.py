@@ -1,8 +1,9 @@
 """Fit: `python -m polishopt.fit config.yaml` tunes a polishing step and reports on it.
 
 Exit codes: 0 solved, 2 bad input, 3 the target cannot be met within the limits, 4 not
-converged. Results are written in all cases but bad input, so that a failure can be looked
-at.
+converged, 130 interrupted. Results are written in all cases but bad input, so that a
+failure can be looked at. Finished searches are kept in `searches` as they end: `--resume`
+goes on from there.
 """
 
 import contextlib
@@ -12,7 +13,8 @@ import time
 from pathlib import Path
 
 from .files.config import Loaded
-from .session import arguments, begin, preload
+from .files.searches import Searches
+from .session import INTERRUPTED, arguments, begin, leave, preload, resumable, stoppable
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -22,24 +24,32 @@ def main(argv: list[str] | None = None) -> int:
         "Tunes a polishing step so that its texture hits the target within the limits. "
         "Exit codes: 0 solved, 2 bad input, 3 infeasible, 4 not converged.",
     )
+    resumable(parser)
     asked = begin(parser, argv)
     if isinstance(asked, int):
         return asked
+    from .interruption import finished, interrupted
+
     work = fit_plan if asked.loaded.steps else fit
+    store = finished(asked)
     try:
-        return work(asked.loaded, asked.target, asked.given.quiet)
+        with stoppable():
+            return work(asked.loaded, asked.target, asked.given.quiet, store)
     except KeyboardInterrupt:
-        print("Interrupted: nothing more is written.", file=sys.stderr)
-        return 130
+        print(interrupted(asked, store), file=sys.stderr)
+        return INTERRUPTED
 
 
-def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
+def fit(
+    loaded: Loaded, target: Path, quiet: bool = False, store: Searches | None = None
+) -> int:
     """Tunes, prints and writes everything; the exit code says how it ended.
 
     Args:
         loaded: The config.
         target: Folder for the results; exists.
         quiet: Whether to print nothing.
+        store: Finished searches, which are not run again; new ones are added.
     """
     from . import report
     from .basin_report import basin_table, left_over
@@ -68,6 +78,7 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
             solver.seed,
             solver.tolerance,
             progress=say,
+            store=store,
         )
     from . import results
 
@@ -84,13 +95,16 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     return int(report.ended(tuning, programs))
 
 
-def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
+def fit_plan(
+    loaded: Loaded, target: Path, quiet: bool = False, store: Searches | None = None
+) -> int:
     """The same for a config with several steps; runs it as it stands if nothing is tuned.
 
     Args:
         loaded: The config.
         target: Folder for the results; exists.
         quiet: Whether to print nothing.
+        store: Finished searches, which are not run again; new ones are added.
     """
     from . import plan_report
     from .files.assemble import plan_job
@@ -116,6 +130,7 @@ def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
                 solver.seed,
                 solver.tolerance,
                 progress=say,
+                store=store,
             )
         outcome = tuning.outcome
     else:
@@ -163,7 +178,7 @@ def _rehearse(job) -> None:
 
 def run() -> None:
     """The console script."""
-    sys.exit(main())
+    leave(main())
 
 
 if __name__ == "__main__":

@@ -123,6 +123,7 @@ def test_fit_leaves_every_file_and_no_half_ones(fitted):
         "texture.png",
         "texture_maps.png",
         "program",
+        "searches",
     }
     programs = {f"polish{one.ending}" for one in DIALECTS.values()}
     assert {path.name for path in (target / "program").iterdir()} == programs

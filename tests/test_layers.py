@@ -28,13 +28,14 @@ blocks preflight
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.naming
 optimize.steering optimize.outer optimize.implicit optimize.adapted
-optimize.auglag optimize.goals optimize.uncertainty optimize.tune optimize.basins
+optimize.auglag optimize.goals optimize.uncertainty
+optimize.kept optimize.tune optimize.basins
 optimize.sensitivity optimize.variance
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
 postprocess plots shares_plot report basin_report results plan_report session program
-fit sensitivity attribution
+interruption fit sensitivity attribution
 measure
 calibrate
 texture.__main__
