@@ -9,12 +9,20 @@ goes on from there.
 import contextlib
 import sys
 import threading
-import time
 from pathlib import Path
 
 from .files.config import Loaded
 from .files.searches import Searches
-from .session import INTERRUPTED, arguments, begin, leave, preload, resumable, stoppable
+from .session import (
+    INTERRUPTED,
+    arguments,
+    begin,
+    leave,
+    opening,
+    preload,
+    resumable,
+    stoppable,
+)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -59,7 +67,7 @@ def fit(
     from .optimize.tune import tune
     from .stored import stored
 
-    told, console, say = _opening(loaded, quiet)
+    told, console, say = opening(loaded, quiet)
     preload("scipy.stats", "polishopt.plots", "xarray", "h5netcdf")
     job = assemble(loaded.config)
     solver = loaded.config.solver
@@ -114,7 +122,7 @@ def fit_plan(
     from .postprocess import deliver, paths
     from .stored import stored
 
-    told, console, say = _opening(loaded, quiet)
+    told, console, say = opening(loaded, quiet)
     job = plan_job(loaded.steps)
     tuning, solver = None, loaded.config.solver
     if job.between:
@@ -150,22 +158,6 @@ def fit_plan(
     say(f"results are in {target}")
     plan_report.show(console, job, outcome, loaded, tuning, spreads, made)
     return plan_report.verdict(job, outcome, tuning, made)[0]
-
-
-def _opening(loaded: Loaded, quiet: bool):
-    """Where progress goes, where the answer goes, and how to say what is going on."""
-    from rich.console import Console
-
-    told, console = Console(stderr=True, quiet=quiet), Console(quiet=quiet)
-    began = time.monotonic()
-
-    def say(sentence: str) -> None:
-        told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {sentence}")
-
-    say(f"reading {loaded.path}")
-    if loaded.measured:
-        say(f"starting from {loaded.measured}")
-    return told, console, say
 
 
 def _rehearse(job) -> None:

@@ -12,6 +12,7 @@ import platform
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -135,6 +136,30 @@ def only_shows_when_made(config: StepConfig) -> bool:
     """Whether the part or the guide of a config may turn out wrong when they are made."""
     shaped = config.part.surface in ("asphere", "nurbs", "point_grid")
     return shaped or config.guide.family != "hilbert" or config.guide.even
+
+
+def opening(loaded: Loaded, quiet: bool):
+    """Where progress goes, where the answer goes, and how to say what is going on.
+
+    Args:
+        loaded: The config.
+        quiet: Whether to say nothing.
+
+    Returns:
+        Two consoles, and a function that says a sentence with the time it is.
+    """
+    from rich.console import Console
+
+    told, console = Console(stderr=True, quiet=quiet), Console(quiet=quiet)
+    began = time.monotonic()
+
+    def say(sentence: str) -> None:
+        told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {sentence}")
+
+    say(f"reading {loaded.path}")
+    if loaded.measured:
+        say(f"starting from {loaded.measured}")
+    return told, console, say
 
 
 def leave(code: int) -> NoReturn:

@@ -29,13 +29,13 @@ optimize.model optimize.box optimize.values optimize.penalty optimize.certificat
 optimize.naming
 optimize.steering optimize.outer optimize.implicit optimize.adapted
 optimize.auglag optimize.goals optimize.uncertainty
-optimize.kept optimize.tune optimize.basins
+optimize.kept optimize.tune optimize.basins optimize.explore optimize.front
 optimize.sensitivity optimize.variance
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
-postprocess plots shares_plot report basin_report results plan_report session program
-interruption fit sensitivity attribution
+postprocess plots shares_plot report basin_report front_plot results plan_report session program
+interruption fit front sensitivity attribution
 measure
 calibrate
 texture.__main__

@@ -186,9 +186,8 @@ def test_a_solution_comes_back_as_it_was(undisturbed):
 def command(folder, *arguments):
     return subprocess.Popen(
         [sys.executable, "-m", "polishopt.fit", str(CONFIG), "-o", str(folder), *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
         env={**os.environ, "POLISHOPT_CACHE": str(folder.parent / "cache")},
     )
 
@@ -207,7 +206,7 @@ def test_the_command_survives_ten_kills(tmp_path):
     """SIGKILL at random moments; the answer is that of a run left in peace."""
     random.seed(3)
     calm = command(tmp_path / "calm", *SMALL)
-    assert calm.wait(600) in (0, 3), calm.communicate()[1]
+    assert calm.wait(600) in (0, 3)
     killed = 0
     while killed < 10:
         run = command(tmp_path / "killed", *SMALL, *(["--resume"] if killed else []))
@@ -216,10 +215,10 @@ def test_the_command_survives_ten_kills(tmp_path):
             break
         except subprocess.TimeoutExpired:
             os.kill(run.pid, signal.SIGKILL)
-            run.communicate()
+            run.wait()
             killed += 1
     run = command(tmp_path / "killed", *SMALL, "--resume")
-    assert run.wait(600) == calm.returncode, run.communicate()[1]
+    assert run.wait(600) == calm.returncode
     results = [
         json.loads((tmp_path / name / "result.json").read_text())
         for name in ("calm", "killed")
