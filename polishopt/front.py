@@ -104,8 +104,9 @@ def draw(asked: Asked, store) -> int:
         one = job(loaded.config)
         made, setup, start, target = one, one.setup, one.process, one.target
     first = "force" if loaded.config.secondary == "force" else "time"
-    trade = tuple(given.trade or (first, MISS))
-    names, solver = tuple(given.region), loaded.config.solver
+    one_of, other = given.trade or (first, MISS)
+    across, up = given.region
+    trade, names, solver = (one_of, other), (across, up), loaded.config.solver
     with told.status("searching"):
         explorer = Explorer(
             setup,
@@ -113,7 +114,7 @@ def draw(asked: Asked, store) -> int:
             made.between,
             target,
             made.limits,
-            dict.fromkeys((*trade, *names)),
+            tuple(dict.fromkeys((*trade, *names))),
             seed=solver.seed,
             tolerance=solver.tolerance,
             progress=say,
@@ -121,10 +122,14 @@ def draw(asked: Asked, store) -> int:
         )
         line = front(explorer, trade, given.points)
         area = region(explorer, names, given.points)
-    write(asked.target, loaded, target, line, area)
+        answer = None
+        if line.points and line.names[1] == MISS:
+            outcomes, _ = explorer.values(line.points[0].settings)
+            answer = [outcomes[explorer.names.index(name)] for name in names]
+    write(asked.target, loaded, target, line, area, answer)
     say(f"{explorer.searches} searches; results are in {asked.target}")
     if line.points and area.low:
-        console.print(summary(line))
+        console.print(summary(line), markup=False)
         return 0
     if (explorer.over <= 0).any():
         print("Not converged: no search ended within its work.", file=sys.stderr)
@@ -149,7 +154,7 @@ def summary(line) -> str:
     return f"From {first} {a} at {second} {b} to {c} at {d}, in {len(line.points)} points."
 
 
-def write(target: Path, loaded, goals: Mapping, line, area) -> None:
+def write(target: Path, loaded, goals: Mapping, line, area, answer=None) -> None:
     """The tables and pictures of a front and a region.
 
     Args:
@@ -158,6 +163,7 @@ def write(target: Path, loaded, goals: Mapping, line, area) -> None:
         goals: The target.
         line: The front.
         area: The region.
+        answer: The region's outcomes where the front is nearest to the target.
     """
     from . import plots
     from .files.results import write_table
@@ -178,7 +184,12 @@ def write(target: Path, loaded, goals: Mapping, line, area) -> None:
     price = float(shown(first, 1.0) / shown(second, 1.0))
     write_table(
         target / "front.csv",
-        [title(first), title(second), *named.values(), f"{first} saved per unit of {second}"],
+        [
+            title(first),
+            title(second),
+            *named.values(),
+            f"{first} saved per unit of {second}",
+        ],
         [[*cells(line.names, p), p.slope * price] for p in line.points],
     )
     write_table(
@@ -195,7 +206,7 @@ def write(target: Path, loaded, goals: Mapping, line, area) -> None:
         (front_figure(line), "front"),
         (
             region_figure(
-                area.names, area.drawn, aims(goals, area.names, last), found=area
+                area.names, area.drawn, aims(goals, area.names, last), answer, area
             ),
             "region",
         ),

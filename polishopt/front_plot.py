@@ -94,8 +94,7 @@ def region_figure(
         axes.add_patch(patch)
         marked.append(edge)
     box = [aims.get(name) for name in names]
-    if any(box):
-        marked.append(_target(axes, names, box))
+    marked.append(_target(axes, names, box))
     if answer is not None:
         at = [shown(name, value) for name, value in zip(names, answer, strict=True)]
         axes.plot(*at, "D", color=PINK, markersize=7, label="answer")
@@ -120,11 +119,14 @@ def _target(axes: Axes, names: tuple[str, str], box: Sequence[Aim | None]):
         axes.add_patch(Rectangle(corner, *sides, fill=False, edgecolor=ORANGE))
         axes.plot(x.mean(), y.mean(), "+", color=ORANGE, markersize=12, label="target")
         return [x, y]
+    none = np.empty(0)
     if x is not None:
         axes.axvspan(*x, color=ORANGE, alpha=0.25, label="target")
-        return [x, np.empty(0)]
-    axes.axhspan(*y, color=ORANGE, alpha=0.25, label="target")
-    return [np.empty(0), y]
+        return [x, none]
+    if y is not None:
+        axes.axhspan(*y, color=ORANGE, alpha=0.25, label="target")
+        return [none, y]
+    return [none, none]
 
 
 def _around(axes: Axes, x: np.ndarray, y: np.ndarray, drawn) -> None:

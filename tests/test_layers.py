@@ -34,7 +34,8 @@ optimize.sensitivity optimize.variance
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
-postprocess plots shares_plot report basin_report front_plot results plan_report session program
+postprocess plots shares_plot report basin_report front_plot results plan_report
+session program
 interruption fit front sensitivity attribution
 measure
 calibrate

@@ -5,6 +5,7 @@ all limits hold. All questions of a job are one compiled program. Settings drawn
 beforehand say how the outcomes lie and where a search may start.
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -42,30 +43,34 @@ from .values import Values
 MISS = "miss"
 # outcomes of which more is better
 MORE = ("mean_removal", "unstick_margin", "shear_margin", "body_clearance", "feed")
+KNOWN = {MISS, *(field.name for field in dataclasses.fields(Outcome))}
 DRAWN = 256  # settings drawn at random
 TOLERANCE = 1e-6  # of the searches, as in `minimise`
 ROUNDS, TRIALS = 10, 12  # as in `tune`; curvature is learned here, which takes more points
 LEVEL = "level"  # the unknown beside the settings
 
 
+Numbers = np.ndarray | float
+
+
 class Question(NamedTuple):
     """What to make small, and what to hold; k outcomes in units of their spread."""
 
-    weights: np.ndarray
+    weights: Numbers
     """What each outcome counts in what is made small."""
-    weight: float = 0.0
+    weight: Numbers = 0.0
     """What the level counts in it."""
-    capped: np.ndarray | float = 0.0
+    capped: Numbers = 0.0
     """1 for outcomes that must not exceed the level, else 0."""
-    near: float = 0.0
+    near: Numbers = 0.0
     """1 if no goal may be missed by more than the level, in tolerances; else 0."""
-    held: np.ndarray | float = 0.0
+    held: Numbers = 0.0
     """1 for outcomes that must be as `at` says, else 0."""
-    at: np.ndarray | float = 0.0
+    at: Numbers = 0.0
     """Where."""
-    least: float = 0.0
+    least: Numbers = 0.0
     """Lower bound of the level."""
-    most: float = 0.0
+    most: Numbers = 0.0
     """Upper bound of the level."""
 
 
@@ -110,10 +115,12 @@ def value(outcome: Outcome | PlanOutcome, name: str) -> Scalar:
     if isinstance(outcome, PlanOutcome):
         steps = dict(zip(outcome.names, outcome.steps, strict=True))
         whole = not step and word in ("time", "force_max")
-        outcome = outcome if whole else steps.get(step or outcome.names[-1])
-    found = getattr(outcome, word, None)
-    if not isinstance(found, jax.Array | np.ndarray) or found.ndim:
-        raise ValueError(f"{name!r} is no outcome that is one number, as 'time' or 'Ssk'.")
+        at: Any = outcome if whole else steps.get(step or outcome.names[-1])
+    else:
+        at = outcome
+    found = getattr(at, word, None)
+    if not isinstance(found, jax.Array) or found.ndim:
+        raise ValueError(f"{name!r} is no outcome with one value, such as 'time' or 'Ssk'.")
     return found
 
 
@@ -211,6 +218,9 @@ class Explorer:
             raise ValueError("`target` is empty, must have a goal to be missed.")
         if not between:
             raise ValueError("`between` is empty, must have a setting that may move.")
+        for name in names:
+            if name.rpartition(" ")[2] not in KNOWN:
+                raise ValueError(f"{name!r} is no outcome, such as 'time' or 'Ssk'.")
         steps = setup.names if isinstance(setup, Plan) else ()
         begin = start if isinstance(start, Process) else tuple(start)
         if limits is None:
@@ -246,7 +256,7 @@ class Explorer:
             raise ValueError("None of the settings that were drawn has finite outcomes.")
         unit = np.std(seen[finite], axis=0)
         self.units = np.where(unit > 0, unit, 1.0)
-        """What one unit of each outcome is, in its own unit; negative for more is better."""
+        """What one unit of each outcome is, in its own; negative where more is better."""
         self.units *= [sign(name) for name in self.names]
         self.middles = np.mean(seen[finite], axis=0)
         """Where outcomes are zero in these units."""
@@ -300,7 +310,7 @@ class Explorer:
         pairs = [(i, q, x) for i, (q, places) in enumerate(asked) for x in places]
         if not pairs:
             return [None] * len(asked)
-        places: dict[str, list[float]] = {name: [] for name in (*self.places, LEVEL)}
+        places: dict[str, list[Any]] = {name: [] for name in (*self.places, LEVEL)}
         for _, question, x in pairs:
             for name in self.places:
                 places[name].append(x[name])
@@ -309,7 +319,9 @@ class Explorer:
         blank = np.zeros(len(self.names))
         stacked = Question(
             *(
-                np.stack([np.asarray(part + (blank if wide else 0.0), float) for part in parts])
+                np.stack(
+                    [np.asarray(part + (blank if wide else 0.0), float) for part in parts]
+                )
                 for parts, wide in zip(
                     zip(*(question for _, question, _ in pairs), strict=True),
                     (True, False, True, False, True, True, False, False),
@@ -317,6 +329,7 @@ class Explorer:
                 )
             )
         )
+
         def some(part, questions):
             part, questions = jax.tree.map(jnp.asarray, (part, questions))
             return _search(

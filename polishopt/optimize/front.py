@@ -27,9 +27,11 @@ STARTS = 4  # searches for each end of a front or region, and of drawn settings 
 FIRST = 3  # levels between the ends before gaps are looked at
 SAME = 1e-3  # of the front's range: levels nearer than that are one
 BETTER = 1e-5  # spreads of an outcome by which a search must gain to count
-# spreads of an outcome by which a drawn point must lie outside a region to say that there is
-# more: between two slices the edge is only known as a line
-OUTSIDE = 0.1
+# what the other outcome counts at each end of a front, so that it is not left lying about
+LITTLE = 1e-4
+# spreads of an outcome by which a drawn point must lie outside a region to say that there
+# is more: between two slices the edge is only known as a line
+OUTSIDE = 0.05
 PASSES = 3  # most times that all points start again from their neighbours
 
 
@@ -111,28 +113,27 @@ def front(explorer: Explorer, names: tuple[str, str], points: int = 12) -> Front
         return Question(goal, **held, least=t, most=t)
 
     explorer.say(f"looking for the ends: least {second}, least {first}")
-    least = Question(0 * goal, 1.0, **held, least=floor, most=top)
+    least = Question(LITTLE * goal, 1.0, **held, least=floor, most=top)
+    other = Question(goal, LITTLE, **held, least=floor, most=top)
     lowest, best = explorer.ask(
         [
             (least, explorer.likely(levels, STARTS)),
-            (Question(goal), explorer.likely(column, STARTS)),
+            (other, explorer.likely(column, STARTS)),
         ]
     )
     drawn = np.stack([explorer.shown(a), explorer.shown(b)], axis=1)[within]
     if lowest is None or best is None:
         return Front((first, second), (), drawn, explorer.searches)
 
-    def level_of(x) -> float:
-        outcomes, missed = explorer.values(x)
-        return missed if b is None else (outcomes[b] - explorer.middles[b]) / level
-
-    low, high = lowest.level, max(level_of(best.x), lowest.level)
+    low, high = lowest.level, max(best.level, lowest.level)
     found: dict[float, Found] = {}
 
     def search(asked: Sequence[tuple[float, list]]) -> bool:
         """Whether any of the levels has got a better answer."""
         gained = False
-        for (t, _), new in zip(asked, explorer.ask([(at(t), p) for t, p in asked]), strict=True):
+        for (t, _), new in zip(
+            asked, explorer.ask([(at(t), p) for t, p in asked]), strict=True
+        ):
             old = found.get(t)
             if new and (old is None or new.objective < old.objective - BETTER):
                 found[t], gained = new, True
@@ -162,7 +163,7 @@ def front(explorer: Explorer, names: tuple[str, str], points: int = 12) -> Front
         pair = (outcomes[a], missed if b is None else outcomes[b])
         slope = found[t].slope * abs(unit / level)
         made.append(Point(pair, found[t].x, slope))
-    kept = _undominated(made, sign(first), sign(second))
+    kept = _undominated(made, sign(first), sign(second), BETTER * abs(unit))
     return Front((first, second), kept, drawn, explorer.searches)
 
 
@@ -197,12 +198,14 @@ def _improve(found: dict[float, Found], search: Callable, explorer: Explorer) ->
             return
 
 
-def _undominated(points: Sequence[Point], a: float, b: float) -> tuple[Point, ...]:
-    """Those points that no other one beats in both outcomes, by rising second outcome."""
+def _undominated(
+    points: Sequence[Point], a: float, b: float, least: float
+) -> tuple[Point, ...]:
+    """Those points that gain something on all before them, the best of the second first."""
     order = sorted(points, key=lambda p: (b * p.values[1], a * p.values[0]))
     kept, best = [], np.inf
     for point in order:
-        if a * point.values[0] < best:
+        if a * point.values[0] < best - least:
             kept.append(point)
             best = a * point.values[0]
     return tuple(kept)
@@ -242,7 +245,9 @@ def region(
     places = middle - half * np.cos(np.pi * (np.arange(slices) + 0.5) / slices)
     sides: dict[float, dict[float, Found]] = {1.0: {}, -1.0: {}}
 
-    def search(asked: Sequence[tuple[float, float, dict[str, float]]]) -> list[Found | None]:
+    def search(
+        asked: Sequence[tuple[float, float, dict[str, float]]],
+    ) -> list[Found | None]:
         """Answers for sides of slices, each from a place; the best are remembered."""
         answers = explorer.ask(
             [(Question(s * away, held=along, at=t * along), [x]) for s, t, x in asked]
