@@ -59,7 +59,7 @@ def fit(
         quiet: Whether to print nothing.
         store: Finished searches, which are not run again; new ones are added.
     """
-    from . import report
+    from . import relax, report
     from .basin_report import basin_table, left_over
     from .chain import polish
     from .files.assemble import job as assemble
@@ -93,6 +93,8 @@ def fit(
     with told.status("drawing"):
         spread = results.spread_of(tuning.process, job)
         scatter, programs = results.write(tuning, job, loaded, target, say, spread)
+        if relax.missed(tuning):
+            relax.draw_reach(tuning, job, target)
     say(f"results are in {target}")
     found = basins(tuning, job.between)
     if found:
@@ -100,6 +102,10 @@ def fit(
     if rest := left_over(found, tuning):
         console.print(rest)
     report.show(console, tuning, job, loaded, scatter, spread, programs)
+    if to_relax := relax.relax_table(tuning, job, loaded):
+        console.print(to_relax)
+    if relax.missed(tuning):
+        console.print(relax.pointer(loaded, target), markup=False, highlight=False)
     return int(report.ended(tuning, programs))
 
 
@@ -114,7 +120,7 @@ def fit_plan(
         quiet: Whether to print nothing.
         store: Finished searches, which are not run again; new ones are added.
     """
-    from . import plan_report
+    from . import plan_report, relax
     from .files.assemble import plan_job
     from .optimize.tune import tune
     from .optimize.uncertainty import plan_spread
@@ -157,6 +163,9 @@ def fit_plan(
         plan_report.write(target, job, outcome, loaded, tuning, spreads, made)
     say(f"results are in {target}")
     plan_report.show(console, job, outcome, loaded, tuning, spreads, made)
+    if tuning is not None and relax.missed(tuning):
+        text = relax.pointer(loaded, target, drawn=False)
+        console.print(text, markup=False, highlight=False)
     return plan_report.verdict(job, outcome, tuning, made)[0]
 
 

@@ -167,7 +167,7 @@ def write(target: Path, loaded, goals: Mapping, line, area, answer=None) -> None
     """
     from . import plots
     from .files.results import write_table
-    from .front_plot import front_figure, region_figure, shown, title
+    from .front_plot import aims, front_figure, region_figure, shown, title
     from .interruption import keys
     from .units import from_internal, suffix
 
@@ -213,24 +213,6 @@ def write(target: Path, loaded, goals: Mapping, line, area, answer=None) -> None
     ):
         for kind in (".png", ".svg"):
             plots.save(figure, target / f"{name}{kind}")
-
-
-def aims(goals: Mapping, names: tuple[str, str], last: str = "") -> dict:
-    """The goals for two outcomes as they are drawn.
-
-    Args:
-        goals: The target.
-        names: The outcomes.
-        last: In a plan, how the names of the goals of its last step begin.
-    """
-    from .front_plot import Aim
-
-    found = {name: goals.get(name) or goals.get(last + name) for name in names}
-    return {
-        name: Aim(float(goal.value), float(goal.tolerance))
-        for name, goal in found.items()
-        if goal is not None
-    }
 
 
 if __name__ == "__main__":

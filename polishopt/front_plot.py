@@ -11,6 +11,7 @@ from matplotlib.patches import Polygon, Rectangle
 
 from .optimize.explore import MISS
 from .optimize.front import Front, Region
+from .optimize.goals import Goal
 from .plots import BLUE, GREY, ORANGE, PINK, SKY
 from .report import SPREAD_UNITS
 from .units import from_internal, label
@@ -23,6 +24,24 @@ class Aim(NamedTuple):
     """Where it is, in the unit of its outcome."""
     tolerance: float
     """How far off it may be."""
+
+
+def aims(
+    goals: Mapping[str, Goal], names: tuple[str, str], last: str = ""
+) -> dict[str, Aim]:
+    """The goals for two outcomes as they are drawn.
+
+    Args:
+        goals: The target.
+        names: The outcomes.
+        last: In a plan, how the names of the goals of its last step begin.
+    """
+    found = {name: goals.get(name) or goals.get(last + name) for name in names}
+    return {
+        name: Aim(float(goal.value), float(goal.tolerance))
+        for name, goal in found.items()
+        if goal is not None
+    }
 
 
 def unit(name: str) -> str:

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close
-from polishopt import Goal, Limits, Outcome, Process, Setup, Start
-from polishopt.files.assemble import job
+from polishopt import Goal, Limits, Outcome, Process, Setup, Start, relax, tune
+from polishopt.files.assemble import Job, job
 from polishopt.files.config import load
 from polishopt.front import main
 from polishopt.front_plot import Aim, front_figure, region_figure, shown
@@ -229,6 +229,25 @@ def test_pictures_show_what_is_known(reached):
     nothing = Region(("Ssk", "Sku"), (), (), np.zeros((0, 2)), 0)
     box = {"Ssk": Aim(0.0, 0.1), "Sku": Aim(3.0, 0.1)}
     assert region_figure(nothing.names, nothing.drawn, box, None, nothing).axes
+
+
+def test_what_to_relax_is_the_bound_in_the_way(tmp_path):
+    """Ssk can be 1, and 2 is asked for: a fifth more would leave 0.8 of the distance."""
+    loaded = load(CONFIGS / "pessoles2009_plane.yaml")
+    limits = Limits(most_removal=jnp.asarray(MOST))
+    asked = Job(SETUP, START, BETWEEN, {"Ssk": TARGET["Ssk"]}, limits)
+    tuning = tune(SETUP, START, BETWEEN, asked.target, limits, starts=4, chain=known)
+    assert relax.missed(tuning)
+    assert_close(relax.distance(tuning), 2.0, rtol=1e-6)
+    (one,) = relax.relaxations(tuning, asked, loaded)
+    assert one.what == "upper bound of tilt"
+    assert one.by == f"{np.degrees(0.2):.3g} ° more"
+    # half the squared distance falls by 4 per radian
+    assert_close(one.distance, np.sqrt(4 - 2 * 4 * 0.2), rtol=1e-6)
+    table = relax.relax_table(tuning, asked, loaded)
+    assert table is not None
+    assert table.row_count == 1
+    assert "polishopt.front" in relax.pointer(loaded, tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ optimize.runs optimize.calibrate optimize.identify optimize
 files
 postprocess plots shares_plot report basin_report front_plot results plan_report
 session program
-interruption fit front sensitivity attribution
+interruption relax fit front sensitivity attribution
 measure
 calibrate
 texture.__main__
