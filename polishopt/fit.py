@@ -65,12 +65,15 @@ def fit(
     from .files.assemble import job as assemble
     from .optimize.basins import basins
     from .optimize.tune import tune
+    from .postprocess import stuck
     from .stored import stored
 
     told, console, say = opening(loaded, quiet)
     preload("scipy.stats", "polishopt.plots", "xarray", "h5netcdf")
     job = assemble(loaded.config)
     solver = loaded.config.solver
+    if hindered := stuck([(job.process, job.setup, loaded.config)]):
+        return _cannot(hindered)
     begin = stored(polish)(job.process, job.setup)
     say(f"the start gives {report.summary(begin, job)}")
     threading.Thread(target=lambda: _rehearse(job), daemon=True).start()
@@ -125,12 +128,15 @@ def fit_plan(
     from .optimize.tune import tune
     from .optimize.uncertainty import plan_spread
     from .plan import follow
-    from .postprocess import deliver, paths
+    from .postprocess import deliver, paths, stuck
     from .stored import stored
 
     told, console, say = opening(loaded, quiet)
     job = plan_job(loaded.steps)
     tuning, solver = None, loaded.config.solver
+    configs = [config for _, config in loaded.steps]
+    if hindered := stuck(list(zip(job.processes, job.plan.setups, configs, strict=True))):
+        return _cannot(hindered)
     if job.between:
         with told.status("searching"):
             tuning = tune(
@@ -156,7 +162,6 @@ def fit_plan(
         with told.status("carrying the errors of the constants"):
             spreads = plan_spread(settings, job.plan)
     with told.status("running the path of every step"):
-        configs = [config for _, config in loaded.steps]
         made = paths(list(zip(settings, job.plan.setups, configs, strict=True)))
         deliver(made, target / "program")
     with told.status("writing"):
@@ -167,6 +172,14 @@ def fit_plan(
         text = relax.pointer(loaded, target, drawn=False)
         console.print(text, markup=False, highlight=False)
     return plan_report.verdict(job, outcome, tuning, made)[0]
+
+
+def _cannot(sentences: list[str]) -> int:
+    """Says why no settings can be run; nothing is written then."""
+    from .optimize.tune import Verdict
+
+    print("\n".join(sentences), file=sys.stderr)
+    return int(Verdict.INFEASIBLE)
 
 
 def _rehearse(job) -> None:

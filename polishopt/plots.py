@@ -25,8 +25,7 @@ from matplotlib.patches import Rectangle
 
 from .chain import Outcome
 from .contact.pressure import body_clearance, patch, unstick_force
-from .machine.feed import limiting_name
-from .parts import AXES, Process
+from .parts import Process
 from .path.surface import curvature, jacobian, normal
 from .resolved import Run
 from .setup import Setup
@@ -66,7 +65,7 @@ def path(run: Run, setup: Setup) -> Figure:
         run: The resolved path.
         setup: The job.
     """
-    xy, minutes = np.asarray(run.posture.xy), _shown(run.law.time, "min")
+    xy, minutes = np.asarray(run.posture.xy), in_units(run.law.time, "min")
     guide = np.asarray(_along(setup.guide, run.s))
     middle = len(xy) // 2
     disc = _disc(run, middle, float(setup.tool.radius))
@@ -82,7 +81,7 @@ def path(run: Run, setup: Setup) -> Figure:
         axes.add_patch(Rectangle((0, 0), *corner, fill=False, edgecolor=GREY))
         axes.plot(*disc.T, color=ORANGE, linewidth=1.8, label="disc")
         axes.set_aspect("equal")
-        _name(axes, "x", "y", "mm", "mm")
+        named(axes, "x", "y", "mm", "mm")
     near.plot(*xy[few].T, color=PINK, linewidth=1.6, label="three loops")
     figure.colorbar(times, ax=[whole, near], label="time [min]", shrink=0.8)
     reach = 0.62 * np.ptp(disc, axis=0).max()
@@ -95,66 +94,6 @@ def path(run: Run, setup: Setup) -> Figure:
     length = float(run.arc[-1]) / 1000
     whole.set_title(f"The path is {length:.1f} m long and takes {minutes[-1]:.1f} min")
     near.set_title("The dotted square, enlarged")
-    return figure
-
-
-def feed(run: Run, process: Process, names: tuple[str, ...] = AXES) -> Figure:
-    """Programmed against reached feed along the path, and what holds it back.
-
-    Args:
-        run: The resolved path.
-        process: The programmed feed is read.
-        names: What people call the axes.
-    """
-    unit = f"[{label('mm_min')}]"
-    time, reached = np.asarray(run.law.time), _shown(run.law.feed, "mm_min")
-    programmed = from_internal(float(process.feed), "mm_min")
-    codes = np.asarray(run.law.limiting)
-    spent = np.convolve(np.diff(time), [0.5, 0.5])
-    share = {c: 100 * spent[codes == c].sum() / spent.sum() for c in np.unique(codes)}
-    order = sorted(share, key=lambda c: -share[c])
-    colour = {c: SEVERAL[i] if i < len(SEVERAL) else GREY for i, c in enumerate(order)}
-
-    figure = Figure((11, 6.6), layout="constrained")
-    grid = figure.add_gridspec(2, 3)
-    whole = figure.add_subplot(grid[0, :])
-    near, bars = figure.add_subplot(grid[1, :2]), figure.add_subplot(grid[1, 2])
-
-    edges = np.linspace(time[0], time[-1], 401)
-    starts = np.minimum(np.searchsorted(time, edges[:-1]), time.size - 1)
-    starts = np.unique(starts)
-    low, high = np.minimum.reduceat(reached, starts), np.maximum.reduceat(reached, starts)
-    at = _shown(time[starts], "min")
-    whole.fill_between(
-        at, low, high, step="post", color=SKY, linewidth=1.5, label="reached"
-    )
-    whole.set_xlim(0, from_internal(float(time[-1]), "min"))
-    whole.axhline(programmed, color="black", linestyle="--", label="programmed")
-    _name(whole, "time", "feed of the contact point", "min", unit)
-    whole.legend(loc="lower right", ncols=2)
-    average = from_internal(float(run.arc[-1] / run.law.time[-1]), "mm_min")
-    whole.set_title(
-        f"The feed reaches {average:.0f} of {programmed:.0f} {label('mm_min')} on average"
-    )
-
-    loops = _window(run, process)
-    near.plot(time[loops], reached[loops], color=GREY, linewidth=0.8)
-    for code in order:
-        chosen = loops[codes[loops] == code]
-        near.scatter(time[chosen], reached[chosen], s=9, color=colour[code], zorder=3)
-    near.axhline(programmed, color="black", linestyle="--")
-    _name(near, "time", "feed", "s", unit)
-    near.set_title("A few loops, coloured by what holds the feed back")
-
-    shown = order[: len(SEVERAL) + 2]
-    places = np.arange(len(shown))
-    bars.barh(places, [share[c] for c in shown], color=[colour[c] for c in shown])
-    bars.set_yticks(places, [limiting_name(c, names) for c in shown])
-    bars.invert_yaxis()
-    bars.spines[["top", "right"]].set_visible(False)
-    bars.set_xlabel(f"share of the time [{label('percent')}]")
-    for axes in (whole, near):
-        axes.set_ylim(0, 1.12 * max(programmed, reached.max()))
     return figure
 
 
@@ -198,7 +137,7 @@ def contact(process: Process, setup: Setup) -> Figure:
     under.plot(0, 0, "+", color=ORANGE, markersize=10, label="contact point")
     under.set_aspect("equal")
     under.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2, frameon=False)
-    _name(under, "along the feed, ξ", "to its left, η", "mm", "mm")
+    named(under, "along the feed, ξ", "to its left, η", "mm", "mm")
     force, area = float(footing.force), float(footing.contact_area)
     under.set_title(f"The disc presses with {force:.1f} N on {area:.0f} mm²")
 
@@ -217,7 +156,7 @@ def contact(process: Process, setup: Setup) -> Figure:
     against.set_xlim(0, reach)
     against.set_ylim(0, 1.4 * float(forces[-1]))
     against.legend(loc="upper left")
-    _name(against, "displacement", "force", "mm", "N")
+    named(against, "displacement", "force", "mm", "N")
     tilt = from_internal(float(process.tilt), "deg")
     against.set_title(f"Force at a tilt of {tilt:.1f}{label('deg')}")
     return figure
@@ -230,7 +169,7 @@ def removal(depth: Float[Numbers, "ny nx"], size: Float[Numbers, "2"]) -> Figure
         depth: Depth removed, rows along y [mm].
         size: Sides of the part along x and y [mm].
     """
-    unit, values = label("um"), _shown(depth, "um")
+    unit, values = label("um"), in_units(depth, "um")
     width, height = (float(side) for side in size)
     mean, spread = values.mean(), values.std()
 
@@ -241,7 +180,7 @@ def removal(depth: Float[Numbers, "ny nx"], size: Float[Numbers, "2"]) -> Figure
     )
     figure.colorbar(image, ax=over, label=f"depth removed [{unit}]", shrink=0.85)
     over.axhline(height / 2, color="white", linestyle="--", linewidth=1)
-    _name(over, "x", "y", "mm", "mm")
+    named(over, "x", "y", "mm", "mm")
     share = f", ± {100 * spread / mean:.0f} % over the part" if mean > 0 else ""
     over.set_title(f"The mean removal is {mean:.3g} {unit}{share}")
 
@@ -257,7 +196,7 @@ def removal(depth: Float[Numbers, "ny nx"], size: Float[Numbers, "2"]) -> Figure
     through.set_xlim(0, width)
     through.set_ylim(0, 1.25 * max(values.max(), 1e-9))
     through.legend(loc="upper right")
-    _name(through, "x", "depth removed", "mm", unit)
+    named(through, "x", "depth removed", "mm", unit)
     through.set_title("Profile along the dashed line")
     return figure
 
@@ -287,7 +226,7 @@ def texture_maps(
         ("Sku", maps.Sku, ""),
     )
     for axes, (name, values, unit) in zip(panels.flat, shown, strict=True):
-        values = _shown(values, unit) if unit else np.asarray(values)
+        values = in_units(values, unit) if unit else np.asarray(values)
         inside = values[counts]
         image = axes.imshow(
             values,
@@ -310,7 +249,7 @@ def texture_maps(
         figure.colorbar(
             image, ax=axes, label=f"{name} {bracket}", shrink=0.85, extend="both"
         )
-        _name(axes, "x", "y", "mm", "mm")
+        named(axes, "x", "y", "mm", "mm")
         ends = f"{inside.min():.3g} to {inside.max():.3g} {label(unit)}".rstrip()
         axes.set_title(f"{name}: {ends} inside the dashed line")
     return figure
@@ -330,7 +269,7 @@ def texture(
         outcome: The texture that is predicted is read.
         log: Whether the counts are on a logarithmic scale, which shows the valleys.
     """
-    values = _shown(heights, "nm")
+    values = in_units(heights, "nm")
     values = values - values.mean()
     tall, wide = (from_internal(float(side), "um") for side in extent)
 
@@ -341,7 +280,7 @@ def texture(
         values, origin="lower", extent=(0, wide, 0, tall), cmap=MAP, vmin=low, vmax=high
     )
     figure.colorbar(image, ax=over, label="height [nm]", shrink=0.85, extend="both")
-    _name(over, "x", "y", label("um"), label("um"))
+    named(over, "x", "y", label("um"), label("um"))
     over.set_title("A patch of the finished texture, drawn at random")
 
     Sq = float(np.sqrt(np.mean(values**2)))
@@ -359,7 +298,7 @@ def texture(
         some = density[density > 0]
         counts.set_ylim(0.5 * some.min(), 30 * density.max())
     counts.legend(loc="upper left")
-    _name(counts, "height", "probability density", "nm", "1/nm")
+    named(counts, "height", "probability density", "nm", "1/nm")
     told = _height_parameters(predicted, float(outcome.Ssk), float(outcome.Sku))
     counts.set_title(f"Predicted: {told}")
     return figure
@@ -378,7 +317,7 @@ def topography(
         extent: Sides along y and x [mm].
         title: What it is.
     """
-    unit, values = label("um"), _shown(heights, "um")
+    unit, values = label("um"), in_units(heights, "um")
     values = values - np.nanmean(values)
     tall, wide = (float(side) for side in extent)
     low, high = np.nanquantile(values, (0.002, 0.998))
@@ -392,14 +331,14 @@ def topography(
     ny, nx = values.shape
     middle = (ny // 2 + 0.5) * tall / ny
     over.axhline(middle, color="white", linestyle="--", linewidth=1)
-    _name(over, "x", "y", "mm", "mm")
+    named(over, "x", "y", "mm", "mm")
     over.set_title(title)
 
     through.plot(
         (np.arange(nx) + 0.5) * wide / nx, values[ny // 2], color=BLUE, linewidth=0.8
     )
     through.set_xlim(0, wide)
-    _name(through, "x", "height", "mm", unit)
+    named(through, "x", "height", "mm", unit)
     through.set_title("Profile along the dashed line")
     return figure
 
@@ -481,12 +420,12 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def _shown(values, unit: str) -> np.ndarray:
+def in_units(values, unit: str) -> np.ndarray:
     """Values in a unit for people."""
     return np.asarray(values) * from_internal(1.0, unit)
 
 
-def _name(axes: Axes, x: str, y: str, x_unit: str, y_unit: str) -> None:
+def named(axes: Axes, x: str, y: str, x_unit: str, y_unit: str) -> None:
     """Labels with units, and no more frame than needed."""
     axes.set_xlabel(f"{x} [{x_unit}]")
     axes.set_ylabel(f"{y} [{y_unit.strip('[]')}]")
@@ -540,10 +479,3 @@ def _bend(setup: Setup):
     f = along / jnp.sqrt(jnp.sum(along**2))
     b = jnp.cross(normal(setup.surface, middle), f)
     return curvature(setup.surface, middle, f, b)
-
-
-def _window(run: Run, process: Process, loops: float = 4.0) -> np.ndarray:
-    """Samples of a few loops half-way along the guide."""
-    s = np.asarray(run.s)
-    half = 0.5 * loops * float(process.step)
-    return np.flatnonzero(np.abs(s - 0.5 * s[-1]) <= half)

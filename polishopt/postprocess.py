@@ -124,6 +124,24 @@ def paths(jobs: Sequence[tuple[Process, Setup, StepConfig]]) -> list[Programs]:
     return made
 
 
+def stuck(jobs: Sequence[tuple[Process, Setup, StepConfig]]) -> list[str]:
+    """What clamped axes of machines would have to do, however long one searches.
+
+    Args:
+        jobs: Settings to start from, job and config of each step, or of the only one.
+
+    Returns:
+        Sentences; empty where no axis is clamped, or none of those has to move.
+    """
+    found = []
+    for process, setup, _ in jobs:
+        clamped = np.asarray(setup.machine.max_speed) == 0
+        if clamped.any():
+            path = stored(run)(process, setup, samples(process, setup))
+            found += [one.sentence for one in obstacles(path, setup.machine)]
+    return found
+
+
 def _written(
     look: Seen, process: Process, setup: Setup, config: StepConfig, step: int
 ) -> Programs:

@@ -14,6 +14,7 @@ import numpy as np
 
 from .blocks import chunks, poses_of
 from .machine.feed import limiting_name
+from .machine.jerk import JerkLaw, check
 from .machine.kinematics import pole_distance, rotary_order
 from .machine.route import standing
 from .parts import Machine, Process
@@ -73,12 +74,24 @@ def obstacles(path: Run, machine: Machine) -> list[Finding]:
     found = beyond(axes, machine, at)
     still = [fault.sentence for fault in standing(axes, machine)]
     found += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in still]
+    if not found and isinstance(path.law, JerkLaw):
+        found += _without_feed(path.law, machine, at)
     time = np.asarray(path.law.time)
     if not found and not np.isfinite(time[-1]):
         stuck = int(np.argmax(~np.isfinite(time)))
         limit = limiting_name(np.asarray(path.law.limiting)[stuck], names)
         found.append(f"The motion comes to a stop {at(stuck)}: {limit}.")
     return [Finding(sentence, prevents=True) for sentence in found]
+
+
+def _without_feed(law: JerkLaw, machine: Machine, at: Callable[[int], str]) -> list[str]:
+    """A sentence where no feed keeps all limits; nothing where there is one."""
+    try:
+        check(law, machine)
+    except ValueError as error:
+        sentence = str(error)
+        return [f"{sentence[0].upper()}{sentence[1:]}, {at(int(law.fault.sample))}."]
+    return []
 
 
 def beyond(axes: np.ndarray, machine: Machine, at: Callable[[int], str]) -> list[str]:

@@ -15,6 +15,8 @@ from .contact.pressure import patch
 from .contact.removal import Grid, deposit, preston_rates
 from .machine.exact import exact_time_law
 from .machine.feed import TimeLaw, time_law
+from .machine.jerk import jerk_law
+from .machine.jerk_exact import exact_jerk_law
 from .machine.kinematics import inverse, inverse_path
 from .parts import Process, Scalar
 from .path.surface import area_stretch, curvature, tangent_to_parameter
@@ -51,7 +53,13 @@ def samples(process: Process, setup: Setup, per_loop: int = PER_LOOP) -> int:
     return int(np.ceil(float(setup.guide.length / process.step) * per_loop)) + 1
 
 
-def run(process: Process, setup: Setup, samples: int, phase: Scalar | float = 0.0) -> Run:
+def run(
+    process: Process,
+    setup: Setup,
+    samples: int,
+    phase: Scalar | float = 0.0,
+    jerk: bool = True,
+) -> Run:
     """The path with every loop, and the fastest motion along it.
 
     Samples lie closer where the rotary axes turn: past the pole, where C may turn by half
@@ -64,6 +72,8 @@ def run(process: Process, setup: Setup, samples: int, phase: Scalar | float = 0.
         setup: The job.
         samples: Number of samples, static: see `samples`.
         phase: Phase of the trochoid at the start [rad].
+        jerk: Whether the axes keep their limits of jerk too, which takes some ten times
+            as long to find; static. `machine.jerk.check` says whether that could be.
 
     Source: S0 (Pessoles & Tournier 2009), section 2.2.3.
     """
@@ -103,9 +113,11 @@ def run(process: Process, setup: Setup, samples: int, phase: Scalar | float = 0.
     chords = jnp.sqrt(jnp.sum(jnp.diff(posture.contact, axis=0) ** 2, axis=1))
     arc = jnp.pad(jnp.cumsum(chords), (1, 0))
     if setup.flat:
-        law = time_law(axes, setup.machine, arc, process.feed, s)
+        found = jerk_law if jerk else time_law
+        law = found(axes, setup.machine, arc, process.feed, s)
     else:
-        law = exact_time_law(place, s, setup.machine, process.feed)
+        found = exact_jerk_law if jerk else exact_time_law
+        law = found(place, s, setup.machine, process.feed)
     return Run(posture, s, arc, axes, law)
 
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from . import plots, postprocess, report, resolved, shares_plot
+from . import feed_plot, plots, postprocess, report, resolved, shares_plot
 from .chain import polish
 from .contact.pressure import patch
 from .files import assemble
@@ -112,7 +112,7 @@ def write(
         say("running the path with every loop")
         run = _run(process, setup, resolved.samples(process, setup))
         paint("path.png", plots.path, run, setup)
-        paint("feed.png", plots.feed, run, process, setup.machine.names)
+        paint("feed.png", feed_plot.feed, run, process, setup.machine.names)
         programmed = pool.submit(postprocess.programs, run, process, setup, loaded.config)
         fine = _fine_maps(process, setup)
         paint("removal.png", plots.removal, np.asarray(fine[0]), size)

@@ -34,7 +34,7 @@ optimize.sensitivity optimize.variance
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
-postprocess plots shares_plot report basin_report front_plot results plan_report
+postprocess plots feed_plot shares_plot report basin_report front_plot results plan_report
 session program
 interruption relax fit front sensitivity attribution
 measure

@@ -37,7 +37,7 @@ def test_the_way_back_takes_time_and_removes_nothing():
 
     @eqx.filter_jit
     def once(process, setup):
-        path = run(process, setup, count)
+        path = run(process, setup, count, jerk=False)
         return path.law.time[-1], removal(path, process, setup, setup.grid, 8, 6)
 
     time, depth = once(process, setup)

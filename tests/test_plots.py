@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from polishopt import plots
+from polishopt import feed_plot, plots
 from polishopt.chain import Outcome
 from polishopt.contact.pressure import flat_area, flat_force
 from polishopt.parts import Abrasive, Machine, Process, Tool
@@ -116,7 +116,7 @@ def test_path_shows_the_disc_where_it_touches(plane):
 
 def test_feed_names_what_limits(plane):
     process, _, path = plane
-    figure = plots.feed(path, process)
+    figure = feed_plot.feed(path, process)
     text = labels(figure)
     assert "[mm/min]" in text
     assert "share of the time [%]" in text
@@ -125,6 +125,9 @@ def test_feed_names_what_limits(plane):
     assert any("acceleration" in name for name in names)
     shares = [bar.get_width() for bar in bars.patches if isinstance(bar, Rectangle)]
     assert sum(shares) == pytest.approx(100)
+    part = figure.axes[1]
+    spots = sum(np.shape(one.get_offsets())[0] for one in part.collections)
+    assert spots == np.count_nonzero(np.asarray(path.law.limiting))
 
 
 def test_contact_shows_the_closed_form(plane):

@@ -18,6 +18,7 @@ from polishopt.blocks import cut, poses_of
 from polishopt.files.assemble import job
 from polishopt.files.config import load
 from polishopt.files.ncode import DIALECTS
+from polishopt.fit import fit
 from polishopt.path.toolpath import resolved
 from polishopt.postprocess import Programs, deliver, moves, programs
 from polishopt.preflight import Finding, obstacles, remarks
@@ -301,6 +302,16 @@ def test_a_path_that_cannot_be_run_leaves_no_program(tmp_path, capsys):
     assert told.out == ""
     assert re.match(r"X would have to reach .* at sample \d+ of \d+, ", told.err)
     assert not target.exists() or files(target) == []
+
+
+def test_fit_does_not_search_where_a_clamped_axis_has_to_move(tmp_path, capsys):
+    target = tmp_path / "new"
+    clamped = load(CONFIG, [*SMALL, "machine.axes.C.speed_rpm=0"])
+    assert fit(clamped, target, quiet=True) == 3
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert re.match(r"Axis C has to move at sample \d+, .*speed is 0", told.err)
+    assert not target.exists()
 
 
 def test_the_command_writes_every_language_and_check_none(tmp_path):

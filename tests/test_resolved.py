@@ -20,7 +20,7 @@ from polishopt.files.config import load
 from polishopt.machine.kinematics import inverse
 from polishopt.machine.usage import usage
 from polishopt.path.families import hilbert, lines
-from polishopt.path.surface import Plane, SphereCap
+from polishopt.path.surface import HyperbolicParaboloid, Plane, SphereCap
 from polishopt.path.toolpath import posture
 from polishopt.resolved import removal, run, samples
 from polishopt.setup import Sampling
@@ -72,13 +72,15 @@ def one_bend():
 
 @fast_jit
 def one_map(process, setup, phase, count):
-    return removal(run(process, setup, count, phase), process, setup, setup.grid, 8, 6)
+    path = run(process, setup, count, phase, jerk=False)
+    return removal(path, process, setup, setup.grid, 8, 6)
 
 
 @fast_jit
 def many_maps(process, setup, phases, count):
     def at(phase):
-        return removal(run(process, setup, count, phase), process, setup, setup.grid, 8, 6)
+        path = run(process, setup, count, phase, jerk=False)
+        return removal(path, process, setup, setup.grid, 8, 6)
 
     return jax.lax.map(at, phases)
 
@@ -165,7 +167,7 @@ def rms_over_phases(process, setup, grid, count, rows, columns):
     """Over evenly spaced phases, which tell the first three harmonics apart exactly."""
 
     def at(phase):
-        path = run(process, setup, count, phase)
+        path = run(process, setup, count, phase, jerk=False)
         return removal(path, process, setup, grid, rows, columns)
 
     maps = jax.lax.map(at, jnp.asarray(np.arange(4) * np.pi / 2))
@@ -204,32 +206,58 @@ def law_of(process, setup, count):
 
 
 @pytest.mark.parametrize(
-    ("surface", "tilt", "rtol"), [("plane", 3, 0.01), ("cap", 3, 0.05), ("cap", 10, 0.05)]
+    ("surface", "tilt", "jerk", "rtol"),
+    [
+        ("plane", 3, 1.0, 0.01),
+        ("plane", 3, 0.005, 0.03),
+        ("cap", 3, 1.0, 0.05),
+        ("cap", 10, 1.0, 0.05),
+        ("cap", 10, 0.005, 0.05),
+    ],
 )
-def test_time_of_the_true_path(surface, tilt, rtol):
-    """A sweep through every loop against one loop at each station, on S0's machine."""
+def test_time_of_the_true_path(surface, tilt, jerk, rtol):
+    """Every loop in turn against one loop at each station, on S0's machine and on one that
+    has next to no jerk."""
     setup = disc().setup
     if surface == "cap":
         setup = eqx.tree_at(lambda s: s.surface, setup, SphereCap(setup.size, 100.0))
+    scaled = jerk * setup.machine.max_jerk
+    setup = eqx.tree_at(lambda s: s.machine.max_jerk, setup, scaled)
     given = eqx.tree_at(lambda p: p.tilt, disc().process, jnp.asarray(tilt * DEG))
     time, fastest = law_of(given, setup, samples(given, setup))
     want = average(given, setup)
     assert_close(time, want.time, rtol=rtol)
     assert fastest <= given.feed * (1 + 1e-9)
-    assert want.time >= want.path_length / given.feed * (1 - 1e-9)
+    least = want.path_length / given.feed
+    assert want.time >= least * ((1 - 1e-9) if jerk == 1.0 else 1.2)
 
 
 whole_run = eqx.filter_jit(run)
 look_closely = jax.jit(usage, static_argnames="path")
 
 
-@pytest.mark.parametrize("tilt", [3.0, 3.4])
-def test_limits_hold_where_C_whips_past_the_pole(tilt):
+@pytest.mark.parametrize(
+    ("surface", "tilt"),
+    [
+        ("cap", 3.0),
+        ("cap", 3.4),
+        pytest.param("saddle", 4.0, marks=pytest.mark.slow),
+        pytest.param("plane", 3.0, marks=pytest.mark.slow),
+    ],
+)
+def test_limits_hold_where_C_whips_past_the_pole(surface, tilt):
     """On a ten times denser resampling of the true path; derivatives taken from samples
-    would let A and C have up to 1.16 times their acceleration there."""
+    would let A and C have up to 1.16 times their acceleration there. A and C have a tenth
+    of their jerk, so that it counts. On a plane nothing whips, but C turns in corners."""
     changed = ["guide.order=2", f"process.tilt_deg.start={tilt}"]
     given = job(load(CONFIGS / "pessoles2009_convex.yaml", changed).config)
     process, setup = given.process, given.setup
+    if surface != "cap":
+        saddle, flat = HyperbolicParaboloid(setup.size, 4e-3), Plane(setup.size)
+        shape = saddle if surface == "saddle" else flat
+        setup = eqx.tree_at(lambda s: s.surface, setup, shape)
+    less = setup.machine.max_jerk.at[3:].mul(0.1)
+    setup = eqx.tree_at(lambda s: s.machine.max_jerk, setup, less)
     path = whole_run(process, setup, samples(process, setup))
 
     def axes(s):
@@ -237,12 +265,63 @@ def test_limits_hold_where_C_whips_past_the_pole(tilt):
         at = posture(setup.surface, setup.guide(s), phase, process, setup.tool.radius)
         return inverse(at.tip, at.axis, setup.machine)
 
-    turned = np.abs(np.diff(path.axes[:, 4]))
-    assert turned.max() < 0.1
-    assert np.degrees(path.axes[:, 3].min()) < 0.3  # it does come that near
+    if surface != "plane":
+        turned = np.abs(np.diff(path.axes[:, 4]))
+        assert turned.max() < 0.1
+        assert np.degrees(path.axes[:, 3].min()) < 0.5  # it does come that near
     used = look_closely(
-        path.axes, path.law, setup.machine, path.arc, process.feed, path.s, axes
+        path.axes,
+        path.law,
+        setup.machine,
+        path.arc,
+        process.feed,
+        path.s,
+        None if surface == "plane" else axes,
     )
     assert used.programmed <= 1.001
     assert used.speed.max() <= 1.001
     assert used.acceleration.max() <= 1.001
+    assert 0.9 < used.jerk.max() <= 1.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("radius", "tilt", "programmed", "speeds", "all_"),
+    [
+        (500, 3, 12.34, 12.57, None),
+        (200, 3, 12.37, 12.97, 13.47),
+        (200, 5, 12.37, 12.94, 13.41),
+        (200, 10, 12.37, 12.38, 12.41),
+        (200, 15, 12.37, 12.37, None),
+        (100, 3, 12.46, 13.0, 13.5),
+        (100, 5, 12.46, 13.1, 13.6),
+        (100, 10, 12.46, 13.0, 13.5),
+        (100, 15, 12.46, 12.7, 12.95),
+    ],
+)
+def test_time_on_caps_by_tilt(radius, tilt, programmed, speeds, all_):
+    """Minutes by an independent simulation of S0's path with arcs in its corners: at the
+    programmed feed, with limits of speed, and with those of acceleration. A small tilt is
+    not faster, as S0 has it: near the pole C has to whip round."""
+    changed = ["guide={family: hilbert, order: 3, corner: arc}"]
+    given = job(load(CONFIGS / "pessoles2009_convex.yaml", changed).config)
+    process, setup = eqx.tree_at(
+        lambda both: (both[0].tilt, both[1].surface.radius),
+        (given.process, given.setup),
+        (jnp.asarray(tilt * DEG), jnp.asarray(float(radius))),
+    )
+    most = setup.machine.max_acceleration
+    free = eqx.tree_at(lambda s: s.machine.max_acceleration, setup, 1e6 * most)
+    count = samples(process, setup)
+    length, fast = length_and_time(process, free, count)
+    assert_close(length / process.feed, 60 * programmed, rtol=1e-3)
+    assert_close(fast, 60 * speeds, rtol=0.005)
+    _, time = length_and_time(process, setup, count)
+    if all_ is not None:
+        assert_close(time, 60 * all_, rtol=0.03)
+
+
+@eqx.filter_jit
+def length_and_time(process, setup, count):
+    path = run(process, setup, count, jerk=False)
+    return path.arc[-1], path.law.total

@@ -257,8 +257,9 @@ def _cap(first, limits: Limits, programmed, other=None):
     """One over the largest b that the speeds allow."""
     asked = (first[-1] / programmed) ** 2
     slow = jnp.maximum(asked, jnp.max(_share(first[:-1], limits.speed) ** 2, axis=0))
-    # where nothing moves, the parameter may not run 1000 times as fast as elsewhere
-    return jnp.maximum(slow, 1e-6 * jnp.max(slow if other is None else other))
+    # where nothing moves, the parameter may run fast, but not at any rate; beside the pole
+    # C asks for some 1000 times less than elsewhere
+    return jnp.maximum(slow, 1e-12 * jnp.max(slow if other is None else other))
 
 
 def _limited(limits: Limits, path, each):
