@@ -134,7 +134,7 @@ def begin(parser: argparse.ArgumentParser, argv: list[str] | None) -> Asked | in
 
 def only_shows_when_made(config: StepConfig) -> bool:
     """Whether the part or the guide of a config may turn out wrong when they are made."""
-    shaped = config.part.surface in ("asphere", "nurbs", "point_grid")
+    shaped = config.part.surface in ("asphere", "nurbs", "point_grid", "step")
     return shaped or config.guide.family != "hilbert" or config.guide.even
 
 

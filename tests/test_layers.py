@@ -18,12 +18,14 @@ machine.kinematics machine.route machine.sweep machine.feed machine.exact machin
 machine.shape machine.banded machine.interior machine.jerk machine.jerk_exact machine.usage
 machine
 contact.pressure contact.removal contact.ripple contact
-texture.filters texture.areal texture.hybrid texture.lay texture.spatial texture.functional
+texture.filters texture.areal texture.hybrid texture.lay texture.spatial texture.spectrum
+texture.functional
 texture.feature texture.uncertainty texture.parameters
 texture.milling texture.cutter texture.cutting texture.marks
 texture.planarisation texture.scratches texture.evolution texture.direction
 texture.local texture
 setup constants margin mechanics chain plan resolved
+coverage
 blocks preflight
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.naming
@@ -34,8 +36,8 @@ optimize.sensitivity optimize.variance
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
-postprocess plots feed_plot shares_plot report basin_report front_plot results plan_report
-session program
+postprocess plots feed_plot path_plots shares_plot report basin_report front_plot results
+plan_report session program
 interruption relax fit front sensitivity attribution
 measure
 calibrate

@@ -144,6 +144,14 @@ def test_guides_on_a_mirror(asked):
     assert float(jnp.min(guide.edges)) > 0.5 * SEGMENT or not asked
 
 
+def test_sharp_corners_have_no_bends():
+    guide = peano_revolution(MIRROR, SIZE, SEGMENT, OUTER, corner="sharp")
+    bends = guide.bends()
+    assert_close(jnp.sum(bends.share * bends.curvature), 0.0, atol=1e-15)
+    assert_close(jnp.sum(bends.share), 1.0, rtol=1e-12)
+    assert_close(guide.length, jnp.sum(guide.edges), rtol=1e-12)
+
+
 def test_a_segment_too_long_is_a_sentence():
     with pytest.raises(ValueError, match="`segment` is 40 mm"):
         peano_revolution(MIRROR, SIZE, 40.0, OUTER)

@@ -50,6 +50,7 @@ from .measurements import Measurements
 from .point_grid import read_points
 from .quantity import Tuned, internal
 from .schema import StepConfig, erring
+from .step_face import read_face
 
 
 # Settings whose key in a config is not their name in `Process` and a unit.
@@ -191,7 +192,8 @@ def surface(config: StepConfig, size):
         check_surface(made, config.part.size_mm)
     else:
         sides = config.part.size_mm
-        made = cad_surface(given, sides) if kind == "nurbs" else fitted(given, sides)
+        free = {"nurbs": cad_surface, "point_grid": fitted, "step": step_surface}
+        made = free[kind](given, sides)
         check_surface(made, sides)
     if config.guide.even and kind != "plane":
         return even(made, size)
@@ -215,6 +217,13 @@ def fitted(given: dict[str, Any], sides: tuple[float, float]):
     """A surface fitted to the points of a file."""
     points = np.asarray(read_points(given["file"], given["columns"]))
     return fit_nurbs(points, given["control_points"], given["degrees"], sides)
+
+
+def step_surface(given: dict[str, Any], sides: tuple[float, float]):
+    """A face of a STEP file."""
+    face = read_face(given["file"], given["face"])
+    net, u_knots, v_knots = map(np.asarray, (face.net, *face.knots))
+    return nurbs(net, (u_knots, v_knots), face.degrees, sides, np.asarray(face.weights))
 
 
 def guide(config: StepConfig, surface) -> Guide:

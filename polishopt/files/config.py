@@ -26,7 +26,7 @@ from .document import (
     survey,
     write_text as write_text,
 )
-from .given import Lines, Nurbs, PointGrid
+from .given import Lines, Nurbs, PointGrid, StepFace
 from .library import SHELVES, filled, names
 from .override import override
 from .place import Located, problems_in
@@ -34,7 +34,12 @@ from .point_grid import PointGridError, read_points
 from .quantity import Tuned, internal as internal
 from .schema import Config, StepConfig, erring, json_schema as json_schema
 from .sentence import did_you_mean, shown, typed
+from .step_face import StepFaceError, read_face
 from .steps import split
+
+
+# By what factor the sides of a sheet may differ from the lengths of a face on it.
+MISMATCH = 2.0
 
 
 @dataclass(frozen=True)
@@ -144,6 +149,8 @@ def check(text: str, path: Path, overrides: Sequence[str] = ()) -> Loaded:
                 problems.append(place.problem(("part", "control_points"), sentence))
         except PointGridError as error:
             problems.append(place.problem(("part", "file"), f"part.file: {error}"))
+    if isinstance(part, StepFace):
+        problems += step_problems(part, place)
     if problems:
         raise ConfigError(unique(problems))
     return Loaded(config, document, path, text, measured, tuple(steps))
@@ -168,6 +175,25 @@ def checked(
     except ValidationError as error:
         # a section whose preset is unknown lacks its keys for that reason alone
         return None, problems_in(error, data, place, excused)
+
+
+def step_problems(part: StepFace, place: Located) -> list[Problem]:
+    """What is wrong with a face of a STEP file, in a sentence."""
+    try:
+        found = read_face(part.file, part.face)
+    except StepFaceError as error:
+        prefix = "part.file: " if error.key == "file" else ""
+        return [place.problem(("part", error.key), f"{prefix}{error}")]
+    pairs = zip(part.size_mm, found.lengths, strict=True)
+    if all(1 / MISMATCH < side / length < MISMATCH for side, length in pairs):
+        return []
+    typed_sides = ", ".join(f"{side:g}" for side in part.size_mm)
+    lengths = " mm along u and ".join(f"{length:.4g}" for length in found.lengths)
+    sentence = (
+        f"part.size_mm is [{typed_sides}], must be near the lengths of the face, "
+        f"{lengths} mm along v"
+    )
+    return [place.problem(("part", "size_mm"), sentence)]
 
 
 def uneven(steps: Sequence[tuple[str, StepConfig]], place: Located) -> list[Problem]:
@@ -253,7 +279,7 @@ def optimum(
     surface = loaded.config.start.file
     if folder is not None and surface is not None:
         document["start"]["file"] = seen_from(surface, folder)
-    if folder is not None and isinstance(loaded.config.part, PointGrid):
+    if folder is not None and isinstance(loaded.config.part, PointGrid | StepFace):
         document["part"]["file"] = seen_from(loaded.config.part.file, folder)
     return dump(document)
 
@@ -308,8 +334,10 @@ def described(config: StepConfig, measured: str = "") -> str:
             kind += f", {word(key)} {quantity(key, getattr(part, key))}"
     if isinstance(part, Nurbs):
         kind += f", {len(part.net_mm)} x {len(part.net_mm[0])} control points"
-    if isinstance(part, PointGrid):
+    if isinstance(part, PointGrid | StepFace):
         kind += f" {part.file}"
+    if isinstance(part, StepFace) and part.face is not None:
+        kind += f", face {part.face}"
     keys = ("order", "count", "turns", "repeats", "angle_deg", "segment_mm")
     density = ", ".join(
         f"{word(key)} {quantity(key, getattr(guide, key))}"

@@ -199,8 +199,23 @@ class PointGrid(Section):
         return self
 
 
+class StepFace(Section):
+    """A face of a STEP file."""
+
+    surface: Literal["step"]
+    size_mm: tuple[Side, Side]
+    """Lengths of the face along its u and v, about its middle: the sheet that the guide is
+    laid out on."""
+    file: str
+    """STEP file, whose coordinates are those of the part. A relative path starts at the
+    folder of this config."""
+    face: Annotated[int, Between("[0, 1e6]")] | None = None
+    """Which of its faces, from 0; left out, the only one. It must be a whole patch of its
+    surface, or a rectangle of it in u and v."""
+
+
 Part = Annotated[
-    Plane | SphereCap | HyperbolicParaboloid | Asphere | Nurbs | PointGrid,
+    Plane | SphereCap | HyperbolicParaboloid | Asphere | Nurbs | PointGrid | StepFace,
     Field(discriminator="surface"),
 ]
 

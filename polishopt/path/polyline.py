@@ -293,7 +293,7 @@ def _bent(turns: Turns, made: Shapes, corner: str, held: float) -> Bends:
     with jax.ensure_compile_time_eval():
         t = as_array((nodes + 1) / 4)  # a corner is its own mirror image
         unit = jax.vmap(lambda shape: unit_corner(corner, shape, t)[3])(made)
-    some = turns.turn != 0
+    some = (turns.turn != 0) & (turns.arc > 0)  # a sharp corner has no length
     bends = np.zeros((0, PER_CORNER))
     share = np.zeros(0)
     if some.any():

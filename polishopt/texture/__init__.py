@@ -100,6 +100,15 @@ from .spatial import (
     autocorrelation as autocorrelation,
     spatial_parameters as spatial_parameters,
 )
+from .spectrum import (
+    Spectrum as Spectrum,
+    areal_spectrum as areal_spectrum,
+    band_power as band_power,
+    directional_mean as directional_mean,
+    peak_to_median as peak_to_median,
+    radial_mean as radial_mean,
+    strongest_wave as strongest_wave,
+)
 from .uncertainty import (
     StandardErrors as StandardErrors,
     moment_errors as moment_errors,

@@ -1,0 +1,56 @@
+"""Coverage: closed forms on planes and caps, and what even sheets do to it."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import assert_close
+from polishopt.contact.removal import Grid
+from polishopt.coverage import coverage, path_lengths
+from polishopt.path import Asphere, Plane, SphereCap, lines, peano
+from polishopt.path.even import reparametrised
+
+
+SIZE = (60.0, 60.0)
+GRID = Grid(jnp.zeros(2), jnp.asarray(SIZE), (60, 60))
+INNER = slice(12, 48)
+covered = eqx.filter_jit(coverage)
+pieces = eqx.filter_jit(path_lengths)
+PLANE = Plane(jnp.asarray(SIZE))
+
+
+def test_peano_on_the_plane():
+    """2/p: exactly with sharp corners, all over and, to a thousandth, about each place."""
+    guide = peano(3, SIZE, "sharp")
+    p = float(guide.pitch)
+    _, lengths = pieces(PLANE, guide)
+    assert_close(jnp.sum(lengths) / 60**2, 2 / p, rtol=1e-12)
+    found = np.asarray(covered(PLANE, guide, GRID, jnp.asarray(8 * p)))[INNER, INNER]
+    assert_close(found.mean(), 2 / p, rtol=1e-3)
+    assert_close(found, 2 / p, rtol=5e-3)
+
+
+@pytest.mark.parametrize("one_way", [False, True])
+def test_lines_on_a_cap(one_way):
+    """|S_x| over the area's stretch and the step, lifted ways back left out."""
+    radius, step = 60.0, 60 / 30
+    cap = SphereCap(jnp.asarray(SIZE), radius)
+    guide = lines(30, SIZE, "sharp", one_way=one_way)
+    found = covered(cap, guide, GRID, jnp.asarray(4 * step))
+    x, y = np.meshgrid(np.asarray(GRID.x) - 30, np.asarray(GRID.y) - 30)
+    z = np.sqrt(radius**2 - x**2 - y**2)
+    want = np.hypot(1, x / z) * z / radius / step
+    assert_close(found[INNER, INNER], want[INNER, INNER], rtol=4e-3)
+
+
+def test_an_even_sheet_is_covered_evenly():
+    """A mirror as steep as 46 degrees, by a curve laid out on its shadow and by area."""
+    mirror = Asphere(jnp.asarray(SIZE), -40.0, -1.0)
+    guide = peano(3, SIZE, "sharp")
+    sheet = eqx.filter_jit(reparametrised)(mirror, jnp.asarray(SIZE), 8)
+    varies = []
+    for surface in (mirror, sheet):
+        found = np.asarray(covered(surface, guide, GRID, jnp.asarray(20.0)))[INNER, INNER]
+        varies.append(found.std() / found.mean())
+    assert varies[0] > 0.015
+    assert varies[1] < 0.2 * varies[0], varies
