@@ -29,10 +29,9 @@ SAME = 1e-3  # of the front's range: levels nearer than that are one
 BETTER = 1e-5  # spreads of an outcome by which a search must gain to count
 # what the other outcome counts at each end of a front, so that it is not left lying about
 LITTLE = 1e-4
-# spreads of an outcome by which a drawn point must lie outside a region to say that there
-# is more: between two slices the edge is only known as a line
-OUTSIDE = 0.05
-PASSES = 3  # most times that all points start again from their neighbours
+# spreads of an outcome by which a drawn point must lie outside a region to make a slice
+OUTSIDE = 0.03
+PASSES = 3  # most times that points start again from neighbours, or from what lies outside
 
 
 class Point(NamedTuple):
@@ -272,7 +271,10 @@ def region(
             for (side, way, _), new in zip(walks, search(asked), strict=True)
             if new
         ]
-    if strays := _strays(explorer, across, up, sides):
+    for _ in range(PASSES):
+        strays = _strays(explorer, across, up, sides)
+        if not strays:
+            break
         explorer.say(f"searching from {len(strays)} drawn settings that lie outside")
         search(strays)
     ends = [_point(explorer, one, i, j) for one in (left, right)]
@@ -287,22 +289,28 @@ def region(
 def _strays(
     explorer: Explorer, across: np.ndarray, up: np.ndarray, sides: dict
 ) -> list[tuple[float, float, dict[str, float]]]:
-    """Drawn settings within the limits that lie outside what was found, with a slice near.
+    """Drawn settings within the limits that lie outside of what was found: new slices.
 
-    The furthest one for each end of each slice: there is more to be found there.
+    Between two slices an end is only known as a straight line, and a bent one lies beyond
+    it; or there is something that no walk has come by. Of several between the same two
+    slices the furthest one counts.
     """
-    worst: dict[tuple[float, float], tuple[float, int]] = {}
+    worst: dict[tuple[float, int], tuple[float, int]] = {}
     for side, found in sides.items():
         slices = sorted(found)
-        if not slices:
+        if len(slices) < 2:
             continue
         edge = np.interp(across, slices, [found[t].objective for t in slices])
-        inside = (across >= slices[0]) & (across <= slices[-1]) & (explorer.over <= 0)
+        inside = (across > slices[0]) & (across < slices[-1]) & (explorer.over <= 0)
+        inside &= ~np.isin(across, slices)
         out = np.where(inside, edge - side * up, -1.0)
+        between = np.searchsorted(slices, across)
         for i in np.flatnonzero(out > OUTSIDE):
-            t = min(slices, key=lambda t, i=i: abs(t - across[i]))
-            worst[side, t] = max(worst.get((side, t), (0.0, -1)), (float(out[i]), int(i)))
-    return [(side, t, explorer.drawn[i]) for (side, t), (_, i) in worst.items()]
+            place = side, int(between[i])
+            worst[place] = max(worst.get(place, (0.0, -1)), (float(out[i]), int(i)))
+    return [
+        (side, float(across[i]), explorer.drawn[i]) for (side, _), (_, i) in worst.items()
+    ]
 
 
 def _point(explorer: Explorer, found: Found, i: int, j: int) -> Point:
