@@ -63,15 +63,20 @@ def main(argv: list[str] | None = None) -> int:
     if asked.given.points < 2:
         print(f"--points is {asked.given.points}, must be 2 or more", file=sys.stderr)
         return BAD_INPUT
-    from .interruption import finished
+    for pair in (asked.given.trade, asked.given.region):
+        if pair and pair[0] == pair[1]:
+            print(f"{pair[0]!r} is there twice, must be two outcomes", file=sys.stderr)
+            return BAD_INPUT
+    from .interruption import finished, keys
 
+    if not keys(asked.loaded):
+        sentence = "nothing is tuned: write {start: ..., between: [..., ...]} for a setting"
+        print(f"{asked.loaded.path}: {sentence}", file=sys.stderr)
+        return BAD_INPUT
     store = finished(asked)
     try:
         with stoppable():
             return draw(asked, store)
-    except ValueError as error:
-        print(f"{asked.loaded.path}: {error}", file=sys.stderr)
-        return BAD_INPUT
     except KeyboardInterrupt:
         print(
             "Interrupted: finished searches are kept, and the same command with --resume "
@@ -87,9 +92,6 @@ def draw(asked: Asked, store) -> int:
     Args:
         asked: What to do.
         store: Finished searches, which are not run again; new ones are added.
-
-    Raises:
-        ValueError: if an outcome that is asked about is none.
     """
     from .files.assemble import job, plan_job
     from .optimize.explore import MISS, Explorer
@@ -108,18 +110,22 @@ def draw(asked: Asked, store) -> int:
     across, up = given.region
     trade, names, solver = (one_of, other), (across, up), loaded.config.solver
     with told.status("searching"):
-        explorer = Explorer(
-            setup,
-            start,
-            made.between,
-            target,
-            made.limits,
-            tuple(dict.fromkeys((*trade, *names))),
-            seed=solver.seed,
-            tolerance=solver.tolerance,
-            progress=say,
-            store=store,
-        )
+        try:
+            explorer = Explorer(
+                setup,
+                start,
+                made.between,
+                target,
+                made.limits,
+                tuple(dict.fromkeys((*trade, *names))),
+                seed=solver.seed,
+                tolerance=solver.tolerance,
+                progress=say,
+                store=store,
+            )
+        except ValueError as error:
+            print(f"{loaded.path}: {error}", file=sys.stderr)
+            return BAD_INPUT
         line = front(explorer, trade, given.points)
         area = region(explorer, names, given.points)
         answer = None

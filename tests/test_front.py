@@ -17,8 +17,10 @@ from polishopt.files.config import load
 from polishopt.front import main
 from polishopt.front_plot import Aim, front_figure, region_figure, shown
 from polishopt.optimize import explore
-from polishopt.optimize.explore import Explorer
+from polishopt.optimize.explore import Explorer, value
 from polishopt.optimize.front import Front, Region, front, region
+from polishopt.optimize.goals import PlanLimits
+from polishopt.plan import Plan, PlanOutcome
 from polishopt.texture.scratches import Population
 
 
@@ -208,6 +210,38 @@ def test_senseless_pairs_are_refused(explored):
         region(explored, ("Sq", "Ssk"))
 
 
+def twice(processes, plan: Plan) -> PlanOutcome:
+    """Two steps that know nothing of each other."""
+    steps = tuple(map(known, processes, plan.setups))
+    return PlanOutcome(plan.names, steps)
+
+
+def test_of_a_plan_any_step_can_be_asked_about():
+    plan = Plan(("first", "last"), (SETUP, SETUP))
+    outcome = twice((dataclasses.replace(START, tilt=0.1), START), plan)
+    assert_close(value(outcome, "Ssk"), START.tilt)
+    assert_close(value(outcome, "first Ssk"), 0.1)
+    assert_close(value(outcome, "time"), outcome.time)
+    with pytest.raises(ValueError, match="'middle Ssk' is no outcome"):
+        value(outcome, "middle Ssk")
+    limits = PlanLimits((Limits(), Limits(most_removal=jnp.asarray(MOST))))
+    between = {"last tilt": (-1.0, 1.0), "last step": (0.0, 2.0)}
+    asked = Explorer(
+        plan,
+        (START, START),
+        between,
+        {},
+        limits,
+        ("last Ssk", "Sku"),
+        drawn=32,
+        chain=twice,
+    )
+    found = region(asked, ("last Ssk", "Sku"), 4)
+    for point in found.low[1:-1]:
+        assert_close(point.values[1], 3 - point.values[0] ** 2, rtol=0, atol=1e-5)
+        assert set(point.settings) == set(between)
+
+
 def test_pictures_show_what_is_known(reached):
     figure = region_figure(
         ("Ssk", "Sku"), reached.drawn, {"Ssk": Aim(1.2, 0.1)}, (0.9, 2.5), reached
@@ -255,6 +289,7 @@ def test_what_to_relax_is_the_bound_in_the_way(tmp_path):
     [
         (["--points=1"], "--points is 1, must be 2 or more"),
         (["--trade", "time", "beauty"], "'beauty' is no outcome"),
+        (["--region", "Ssk", "Ssk"], "'Ssk' is there twice"),
     ],
 )
 def test_the_command_refuses_what_makes_no_sense(tmp_path, more, fragment, capsys):
