@@ -26,6 +26,7 @@ from .session import (
 
 
 POINTS = 12
+FOLDER = "front_searches"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -73,7 +74,7 @@ def main(argv: list[str] | None = None) -> int:
         sentence = "nothing is tuned: write {start: ..., between: [..., ...]} for a setting"
         print(f"{asked.loaded.path}: {sentence}", file=sys.stderr)
         return BAD_INPUT
-    store = finished(asked)
+    store = finished(asked, FOLDER)
     try:
         with stoppable():
             return draw(asked, store)

@@ -1,8 +1,8 @@
 """Interruption: what becomes of a search that does not come to its end.
 
-Finished searches are in the folder `searches` whatever happens. Who interrupts a run with
-Ctrl-C, or ends it by SIGTERM, is told how far it came and finds what was found so far in
-`partial.csv`.
+Finished searches are in the folder `searches` (of a front: `front_searches`) whatever
+happens. Who interrupts a fit with Ctrl-C, or ends it by SIGTERM, is told how far it came
+and finds what was found so far in `partial.csv`.
 """
 
 import sys
@@ -22,14 +22,16 @@ FOLDER, PARTIAL = "searches", "partial.csv"
 ENDED = ("stationary", "limits cannot all hold", "work ran out", "not a number")
 
 
-def finished(asked: Asked) -> Searches:
+def finished(asked: Asked, folder: str = FOLDER) -> Searches:
     """The finished searches in the folder of a command: none, unless it is to resume.
 
     Args:
         asked: From `session.begin`.
+        folder: What the folder of searches is called; each command has one of its own.
     """
-    store, say = Searches(asked.target / FOLDER), ""
-    (asked.target / PARTIAL).unlink(missing_ok=True)
+    store, say = Searches(asked.target / folder), ""
+    if folder == FOLDER:
+        (asked.target / PARTIAL).unlink(missing_ok=True)
     if asked.given.resume and not len(store):
         say = f"nothing to resume in {store.folder}: all starts are searched"
     elif len(store) and not asked.given.resume:

@@ -24,6 +24,7 @@ from .units import from_internal, label, suffix
 
 
 SHARE = 0.1
+DRAWN = 128  # settings for the picture
 SHAPE = ("Ssk", "Sku")
 # name of a limit: where its number stands, and which way it gives way
 NUMBERS = {

@@ -62,7 +62,7 @@ def resumable(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="go on from the searches in DIR/searches, which an interrupted run finished",
+        help="go on from the searches that an interrupted run finished in DIR",
     )
 
 

@@ -138,6 +138,26 @@ def test_nothing_drawn_lies_outside(reached):
     assert (kurtosis - 3 + skewness**2 + skewness <= MOST + 1e-12).all()
 
 
+def test_what_was_drawn_is_in_the_region_even_where_no_search_ends(explored, monkeypatch):
+    """Searches from outside all fail: what was drawn there stands for itself."""
+    real = Explorer.ask
+
+    def lame(self, asked):
+        answers = real(self, asked)
+        outside = [len(places) == 1 and places[0] in self.drawn for _, places in asked]
+        return [None if o else a for o, a in zip(outside, answers, strict=True)]
+
+    monkeypatch.setattr(Explorer, "ask", lame)
+    found = region(explored, ("Ssk", "Sku"), 2)
+    # the upper end is bent outwards: with two slices and both ends it would cut off a lot
+    high = np.asarray([point.values for point in found.high]).T
+    skewness, kurtosis = found.drawn.T
+    inside = (skewness > high[0, 1]) & (skewness < high[0, -2])
+    assert high.shape[1] > 4
+    over = (kurtosis - np.interp(skewness, *high))[inside]
+    assert over.max() < 0.04 * np.std(explored.shown(explored.names.index("Sku")))
+
+
 def test_settings_give_the_outcomes_that_are_claimed(reached):
     for point in (*reached.low, *reached.high):
         process = dataclasses.replace(START, **point.settings)
@@ -307,7 +327,9 @@ def test_the_command_draws_front_and_region(tmp_path):
     assert main([*given, *small, "--no-cache"]) == 0
     names = {path.name for path in tmp_path.iterdir()}
     kinds = ("csv", "png", "svg")
-    assert names == {"searches"} | {f"{n}.{k}" for n in ("front", "region") for k in kinds}
+    assert names == {"front_searches"} | {
+        f"{n}.{k}" for n in ("front", "region") for k in kinds
+    }
     rows = list(csv.DictReader((tmp_path / "front.csv").open()))
     times = [float(row["time [min]"]) for row in rows]
     assert times == sorted(times, reverse=True)

@@ -276,7 +276,11 @@ def region(
         if not strays:
             break
         explorer.say(f"searching from {len(strays)} drawn settings that lie outside")
-        search(strays)
+        for (side, t, x), new in zip(strays, search(strays), strict=True):
+            # what was drawn keeps the limits: it is in the region whatever a search finds
+            worth = side * float(up[explorer.drawn.index(x)])
+            if new is None or new.objective > worth:
+                sides[side][t] = Found(x, worth, 0.0, float("nan"))
     ends = [_point(explorer, one, i, j) for one in (left, right)]
 
     def line(found: dict[float, Found]) -> tuple[Point, ...]:
