@@ -330,6 +330,6 @@ def test_the_command_draws_front_and_region(tmp_path):
     assert names == {"front_searches"} | {
         f"{n}.{k}" for n in ("front", "region") for k in kinds
     }
-    rows = list(csv.DictReader((tmp_path / "front.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "front.csv").read_text().splitlines()))
     times = [float(row["time [min]"]) for row in rows]
     assert times == sorted(times, reverse=True)
