@@ -1,13 +1,13 @@
 r"""Jerk_exact: the fastest motion with bounded jerk along a path known as a function.
 
-`jerk` takes its derivatives from the samples and enforces the limits there. Here the
-derivatives are those of the path itself, and the limits are looked at between the samples
-too: where more than a limit is used, it is made as much tighter there and the search is
-run again.
+`jerk` takes its derivatives from the samples and enforces the limits there. Here first
+derivatives are those of the path itself, at several places in each interval, and the others
+are differences of these: exact ones would take minutes to compile. The limits are looked at
+between the samples too: where more than a limit is used, it is made as much tighter there
+and the search is run again.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..parts import Machine, Scalar
+from .feed import derivatives
 from .interior import Rows, search
 from .jerk import JerkLaw, law_of, rise
 from .shape import apply, shape
@@ -24,47 +25,26 @@ from .sweep import Limits
 # Places in each interval where limits are looked at, its ends included; the use of a speed
 # or an acceleration, and of a jerk, that will do; how often limits are made tighter; and
 # points differentiated at a time.
-PLACES, ENOUGH, ENOUGH_JERK, ROUNDS, AT_ONCE = 7, 1.0005, 1.01, 12, 1024
+PLACES, ENOUGH, ENOUGH_JERK, ROUNDS, AT_ONCE = 9, 1.0003, 1.01, 12, 1024
 
 
-class Thrice(NamedTuple):
-    """First, second and third derivatives by the path parameter."""
-
-    dq: Float[Array, "*n m"]
-    """Of the axis positions and, last, of the contact path's length."""
-    ddq: Float[Array, "*n m"]
-    """The same twice."""
-    dddq: Float[Array, "*n m"]
-    """And three times."""
-
-
-def thrice(
+def slopes(
     path: Callable[[Scalar], tuple[Float[Array, " m"], Float[Array, "3"]]],
     sigma: Float[Array, " n"],
-) -> Thrice:
-    r"""Derivatives of a path at many places.
-
-    With $X$ the contact point, $L' = |X'|$, $L'' = X' \cdot X'' / L'$ and
-    $L''' = (X'' \cdot X'' + X' \cdot X''' - L''^2) / L'$.
+) -> Float[Array, "n k"]:
+    """First derivatives by the path parameter, of the axes and of the contact's way.
 
     Args:
-        path: Axes [mm or rad] and contact point [mm] as a function of the parameter; the
-            contact point must move.
+        path: Axes [mm or rad] and contact point [mm] as a function of the parameter.
         sigma: The places.
     """
 
-    def along(f):
-        return lambda s: jax.jvp(f, (s,), (jnp.ones_like(s),))
-
     def at(s):
-        slopes = along(lambda s: along(path)(s)[1])
-        (one, two), (_, three) = along(slopes)(s)
-        (dq, x1), (ddq, x2), (dddq, x3) = one, two, three
-        rate = jnp.sqrt(jnp.sum(x1**2))
-        bend = jnp.sum(x1 * x2) / rate
-        twist = (jnp.sum(x2**2) + jnp.sum(x1 * x3) - bend**2) / rate
-        pairs = ((dq, rate), (ddq, bend), (dddq, twist))
-        return Thrice(*(jnp.append(q, x) for q, x in pairs))
+        first, along = jax.jvp(path, (s,), (jnp.ones_like(s),))[1]
+        square = jnp.sum(along**2)
+        moves = square > 0
+        rate = jnp.where(moves, jnp.sqrt(jnp.where(moves, square, 1.0)), 0.0)
+        return jnp.append(first, rate)
 
     return jax.lax.map(at, sigma, batch_size=AT_ONCE)
 
@@ -78,8 +58,8 @@ def exact_jerk_law(
 ) -> JerkLaw:
     """The fastest motion that jerk allows too, held to limits between the samples.
 
-    As `jerk_law`, without differences of samples. By how much limits are tighter is held
-    fixed when the law is differentiated.
+    As `jerk_law`, for paths whose axes whip round between samples. By how much limits are
+    tighter is held fixed when the law is differentiated.
 
     Args:
         path: Axes [mm or rad] and contact point [mm] as a function of the parameter.
@@ -92,14 +72,17 @@ def exact_jerk_law(
     """
     limits = limits if isinstance(limits, Limits) else Limits.of(limits)
     n, spacing = sigma.size, jnp.diff(sigma)
-    shares = jnp.arange(1, PLACES - 1, dtype=sigma.dtype) / (PLACES - 1)
-    inner = jax.vmap(lambda share: sigma[:-1] + share * spacing)(shares)
-    everywhere = thrice(path, jnp.concatenate([sigma, inner.reshape(-1)]))
-    samples = [x[:n].T for x in everywhere]
+    shares = jnp.arange(PLACES - 1, dtype=sigma.dtype) / (PLACES - 1)
+    places = sigma[:-1, None] + shares[None] * spacing[:, None]
+    places = jnp.append(places.reshape(-1), sigma[-1])
+    first = slopes(path, places)
+    everywhere = (first, *derivatives(first, places))
+    samples = [x[:: PLACES - 1].T for x in everywhere]
     # `[share, axis, interval]`
     between = [
-        jnp.swapaxes(x[n:].reshape(*inner.shape, x.shape[-1]), 1, 2) for x in everywhere
+        jnp.moveaxis(x[:-1].reshape(n - 1, PLACES - 1, -1)[:, 1:], 0, 2) for x in everywhere
     ]
+    shares = shares[1:]
     middle = (PLACES - 3) // 2
     halves = between[0][middle], between[1][middle]
     held = jax.lax.stop_gradient((samples, between, limits, programmed))
