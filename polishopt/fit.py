@@ -1,18 +1,28 @@
 """Fit: `python -m polishopt.fit config.yaml` tunes a polishing step and reports on it.
 
 Exit codes: 0 solved, 2 bad input, 3 the target cannot be met within the limits, 4 not
-converged. Results are written in all cases but bad input, so that a failure can be looked
-at.
+converged, 130 interrupted. Results are written in all cases but bad input, so that a
+failure can be looked at. Finished searches are kept in `searches` as they end: `--resume`
+goes on from there.
 """
 
 import contextlib
 import sys
 import threading
-import time
 from pathlib import Path
 
 from .files.config import Loaded
-from .session import arguments, begin, preload
+from .files.searches import Searches
+from .session import (
+    INTERRUPTED,
+    arguments,
+    begin,
+    leave,
+    opening,
+    preload,
+    resumable,
+    stoppable,
+)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -22,26 +32,34 @@ def main(argv: list[str] | None = None) -> int:
         "Tunes a polishing step so that its texture hits the target within the limits. "
         "Exit codes: 0 solved, 2 bad input, 3 infeasible, 4 not converged.",
     )
+    resumable(parser)
     asked = begin(parser, argv)
     if isinstance(asked, int):
         return asked
+    from .interruption import finished, interrupted
+
     work = fit_plan if asked.loaded.steps else fit
+    store = finished(asked)
     try:
-        return work(asked.loaded, asked.target, asked.given.quiet)
+        with stoppable():
+            return work(asked.loaded, asked.target, asked.given.quiet, store)
     except KeyboardInterrupt:
-        print("Interrupted: nothing more is written.", file=sys.stderr)
-        return 130
+        print(interrupted(asked, store), file=sys.stderr)
+        return INTERRUPTED
 
 
-def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
+def fit(
+    loaded: Loaded, target: Path, quiet: bool = False, store: Searches | None = None
+) -> int:
     """Tunes, prints and writes everything; the exit code says how it ended.
 
     Args:
         loaded: The config.
         target: Folder for the results; exists.
         quiet: Whether to print nothing.
+        store: Finished searches, which are not run again; new ones are added.
     """
-    from . import report
+    from . import relax, report
     from .basin_report import basin_table, left_over
     from .chain import polish
     from .files.assemble import job as assemble
@@ -50,7 +68,7 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     from .postprocess import stuck
     from .stored import stored
 
-    told, console, say = _opening(loaded, quiet)
+    told, console, say = opening(loaded, quiet)
     preload("scipy.stats", "polishopt.plots", "xarray", "h5netcdf")
     job = assemble(loaded.config)
     solver = loaded.config.solver
@@ -71,12 +89,15 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
             solver.seed,
             solver.tolerance,
             progress=say,
+            store=store,
         )
     from . import results
 
     with told.status("drawing"):
         spread = results.spread_of(tuning.process, job)
         scatter, programs = results.write(tuning, job, loaded, target, say, spread)
+        if relax.missed(tuning):
+            relax.draw_reach(tuning, job, target)
     say(f"results are in {target}")
     found = basins(tuning, job.between)
     if found:
@@ -84,18 +105,25 @@ def fit(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     if rest := left_over(found, tuning):
         console.print(rest)
     report.show(console, tuning, job, loaded, scatter, spread, programs)
+    if to_relax := relax.relax_table(tuning, job, loaded):
+        console.print(to_relax)
+    if relax.missed(tuning):
+        console.print(relax.pointer(loaded, target), markup=False, highlight=False)
     return int(report.ended(tuning, programs))
 
 
-def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
+def fit_plan(
+    loaded: Loaded, target: Path, quiet: bool = False, store: Searches | None = None
+) -> int:
     """The same for a config with several steps; runs it as it stands if nothing is tuned.
 
     Args:
         loaded: The config.
         target: Folder for the results; exists.
         quiet: Whether to print nothing.
+        store: Finished searches, which are not run again; new ones are added.
     """
-    from . import plan_report
+    from . import plan_report, relax
     from .files.assemble import plan_job
     from .optimize.tune import tune
     from .optimize.uncertainty import plan_spread
@@ -103,7 +131,7 @@ def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
     from .postprocess import deliver, paths, stuck
     from .stored import stored
 
-    told, console, say = _opening(loaded, quiet)
+    told, console, say = opening(loaded, quiet)
     job = plan_job(loaded.steps)
     tuning, solver = None, loaded.config.solver
     configs = [config for _, config in loaded.steps]
@@ -122,6 +150,7 @@ def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
                 solver.seed,
                 solver.tolerance,
                 progress=say,
+                store=store,
             )
         outcome = tuning.outcome
     else:
@@ -139,6 +168,9 @@ def fit_plan(loaded: Loaded, target: Path, quiet: bool = False) -> int:
         plan_report.write(target, job, outcome, loaded, tuning, spreads, made)
     say(f"results are in {target}")
     plan_report.show(console, job, outcome, loaded, tuning, spreads, made)
+    if tuning is not None and relax.missed(tuning):
+        text = relax.pointer(loaded, target, drawn=False)
+        console.print(text, markup=False, highlight=False)
     return plan_report.verdict(job, outcome, tuning, made)[0]
 
 
@@ -148,22 +180,6 @@ def _cannot(sentences: list[str]) -> int:
 
     print("\n".join(sentences), file=sys.stderr)
     return int(Verdict.INFEASIBLE)
-
-
-def _opening(loaded: Loaded, quiet: bool):
-    """Where progress goes, where the answer goes, and how to say what is going on."""
-    from rich.console import Console
-
-    told, console = Console(stderr=True, quiet=quiet), Console(quiet=quiet)
-    began = time.monotonic()
-
-    def say(sentence: str) -> None:
-        told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {sentence}")
-
-    say(f"reading {loaded.path}")
-    if loaded.measured:
-        say(f"starting from {loaded.measured}")
-    return told, console, say
 
 
 def _rehearse(job) -> None:
@@ -176,7 +192,7 @@ def _rehearse(job) -> None:
 
 def run() -> None:
     """The console script."""
-    sys.exit(main())
+    leave(main())
 
 
 if __name__ == "__main__":

@@ -9,17 +9,22 @@ import gc
 import importlib
 import os
 import platform
+import signal
 import sys
 import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 from .files.config import ConfigError, Loaded, describe, load
 from .files.schema import StepConfig
 
 
 BAD_INPUT = 2
+INTERRUPTED = 130
 
 
 def arguments(program: str, what: str) -> argparse.ArgumentParser:
@@ -50,6 +55,15 @@ def arguments(program: str, what: str) -> argparse.ArgumentParser:
         "--no-cache", action="store_true", help="do not keep what JAX has compiled"
     )
     return parser
+
+
+def resumable(parser: argparse.ArgumentParser) -> None:
+    """Adds the option to go on from the searches that an interrupted run has finished."""
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on from the searches that an interrupted run finished in DIR",
+    )
 
 
 def read(path: Path, overrides: list[str]) -> Loaded | None:
@@ -122,6 +136,60 @@ def only_shows_when_made(config: StepConfig) -> bool:
     """Whether the part or the guide of a config may turn out wrong when they are made."""
     shaped = config.part.surface in ("asphere", "nurbs", "point_grid", "step")
     return shaped or config.guide.family != "hilbert" or config.guide.even
+
+
+def opening(loaded: Loaded, quiet: bool):
+    """Where progress goes, where the answer goes, and how to say what is going on.
+
+    Args:
+        loaded: The config.
+        quiet: Whether to say nothing.
+
+    Returns:
+        Two consoles, and a function that says a sentence with the time it is.
+    """
+    from rich.console import Console
+
+    told, console = Console(stderr=True, quiet=quiet), Console(quiet=quiet)
+    began = time.monotonic()
+
+    def say(sentence: str) -> None:
+        told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {sentence}")
+
+    say(f"reading {loaded.path}")
+    if loaded.measured:
+        say(f"starting from {loaded.measured}")
+    return told, console, say
+
+
+def leave(code: int) -> NoReturn:
+    """Ends the process; after an interruption at once, whatever it still computes.
+
+    Args:
+        code: The exit code.
+    """
+    if code == INTERRUPTED:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Within it, being asked to end (SIGTERM) is the same as Ctrl-C."""
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are for the main thread only
+        return
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def preload(*modules: str) -> None:

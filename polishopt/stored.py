@@ -114,7 +114,7 @@ class _Stored:
             raise TypeError("A lambda or a function within another has no name.")
         kinds = [(a.shape, str(a.dtype), getattr(a, "weak_type", False)) for a in arrays]
         made = _canonical((fixed, kinds))
-        return f"{name}-{hashlib.sha256(made + _surroundings()).hexdigest()[:32]}"
+        return f"{name}-{hashlib.sha256(made + surroundings()).hexdigest()[:32]}"
 
     def compile(self, fixed, arrays, structure, path: Path) -> Callable[..., Any]:
         shape: list[Any] = []
@@ -190,8 +190,31 @@ def _write(path: Path, content: bytes) -> None:
     beside.replace(path)
 
 
+def fingerprint(*given: Any) -> str:
+    """A name for values: numbers and shapes of arrays, and everything fixed around them.
+
+    Args:
+        given: Pytrees; a function in them stands for itself by its name.
+
+    Raises:
+        ValueError: if something in them has no name outside this run.
+    """
+    arrays, fixed = eqx.partition(given, _is_array)
+    digest = hashlib.sha256()
+    try:
+        digest.update(_canonical(fixed))
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ValueError(
+            "Nothing can be kept of what has no name outside this run, such as a function "
+            f"within another one: {error}"
+        ) from error
+    for leaf in map(np.asarray, jax.tree.leaves(arrays)):
+        digest.update(f"{leaf.dtype}{leaf.shape}".encode() + leaf.tobytes())
+    return digest.hexdigest()
+
+
 @functools.cache
-def _surroundings() -> bytes:
+def surroundings() -> bytes:
     """Everything that a program depends on beside its function and arguments, hashed."""
     digest = hashlib.sha256()
     for source in sorted(Path(__file__).parent.rglob("*.py")):

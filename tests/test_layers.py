@@ -30,14 +30,15 @@ blocks preflight
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.naming
 optimize.steering optimize.outer optimize.implicit optimize.adapted
-optimize.auglag optimize.goals optimize.uncertainty optimize.tune optimize.basins
+optimize.auglag optimize.goals optimize.uncertainty
+optimize.kept optimize.tune optimize.basins optimize.explore optimize.front
 optimize.sensitivity optimize.variance
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
-postprocess plots feed_plot shares_plot path_plots report basin_report results plan_report
-session program
-fit sensitivity attribution
+postprocess plots feed_plot path_plots shares_plot report basin_report front_plot results
+plan_report session program
+interruption relax fit front sensitivity attribution
 measure
 calibrate
 texture.__main__

@@ -247,7 +247,8 @@ def test_fit_tunes_a_plan(tmp_path):
     for word in ("Steps", "Tuned", "Targets", "coarse", "fine Ssk"):
         assert word in ran.stdout
     names = {path.name for path in target.iterdir()}
-    assert names == {"program", "result.json", "optimum.yaml", "steps.csv", "steps.png"}
+    written = {"result.json", "optimum.yaml", "steps.csv", "steps.png"}
+    assert names == {"program", "searches"} | written
     result = json.loads((target / "result.json").read_text())
     assert result["verdict"] == {0: "solved", 3: "infeasible"}[ran.returncode]
     rows = list(csv.reader((target / "steps.csv").read_text().splitlines()))

@@ -103,7 +103,7 @@ def test_sharing_parts_makes_no_difference(kept):
 def test_another_package_is_another_program(kept, monkeypatch):
     stored(along)(LINE, X)
     again()
-    monkeypatch.setattr(module, "_surroundings", lambda: b"another version")
+    monkeypatch.setattr(module, "surroundings", lambda: b"another version")
     stored(along)(LINE, X)
     assert traced == ["steep"]
 

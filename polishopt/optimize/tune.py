@@ -8,8 +8,10 @@ texture that the limits allow, and the limits with multipliers are the ones in t
 
 The starts are the given one and a scrambled Sobol sequence over the bounds. They run side
 by side under `vmap`, a few at a time; the cheapest of those that reach the target go on.
+What is finished can be kept, so that a search that was interrupted goes on where it was.
 """
 
+import dataclasses
 import enum
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -42,6 +44,7 @@ from .goals import (
     misses as misses,
     setting,
 )
+from .kept import Kept, Store
 from .values import Values
 
 
@@ -202,24 +205,56 @@ def _search(places, lower, upper, stage: _Stage, secondary, tolerance, chain) ->
     )(places)
 
 
-def _in_batches(
-    search, places: Mapping[str, Float[Array | np.ndarray, " starts"]], size: int
+def in_batches(
+    search: Callable[..., Solution],
+    places: Mapping[str, Float[Array | np.ndarray, " starts"]],
+    size: int,
+    kept: Kept | None = None,
+    *what: Any,
+    **more: np.ndarray,
 ) -> Solution:
     """Searches from all places, `size` of them at a time, on the host.
 
     A batch ends with its slowest search, so small batches wait less; and two of them run
-    at once, since one alone does not keep two cores busy.
+    at once, since one alone does not keep two cores busy. Which places make up a batch
+    depends on nothing but their order.
+
+    Args:
+        search: From several places, side by side, each an entry of `places` and of `what`.
+        places: Where searches start, by setting.
+        size: How many make up a batch.
+        kept: Finished batches, which are not run again; new ones are added.
+        what: More that differs from search to search: pytrees with an axis of starts.
+        more: What is kept with them, and part of what they are, one entry a search.
     """
     count = len(next(iter(places.values())))
     # the last batch is filled up with its last place
     index = np.minimum(np.arange(-(-count // size) * size), count - 1).reshape(-1, size)
 
-    def batch(chosen):
-        return jax.device_get(search({n: x[chosen] for n, x in places.items()}))
+    def given(chosen):
+        return jax.tree.map(lambda x: x[chosen], (dict(places), *what))
 
-    first = batch(index[0])  # compiles
-    with ThreadPoolExecutor(2) as pool:
-        parts = [first, *pool.map(batch, index[1:])]
+    known = [{name: values[chosen] for name, values in more.items()} for chosen in index]
+    names, parts = [], [None] * len(index)
+    if kept:
+        names = [kept.name(given(c), k) for c, k in zip(index, known, strict=True)]
+        parts = [kept.get(name) for name in names]
+
+    def run(i):
+        found = jax.device_get(search(*given(index[i])))
+        if kept:
+            kept.put(names[i], found, **known[i])
+        return found
+
+    left = [i for i, part in enumerate(parts) if part is None]
+    pool = ThreadPoolExecutor(2)
+    try:
+        for some in (left[:1], left[1:]):  # the first one compiles for all
+            for i, part in zip(some, pool.map(run, some), strict=True):
+                parts[i] = part
+    finally:
+        # who interrupts this does not want to wait for searches under way
+        pool.shutdown(wait=False, cancel_futures=True)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
 
 
@@ -264,6 +299,7 @@ def tune(
     tolerance: float = ...,
     chain: Callable[[Process, Setup], Outcome] | None = ...,
     progress: Callable[[str], None] | None = ...,
+    store: Store | None = ...,
 ) -> Tuning[Process, Outcome]: ...
 
 
@@ -280,6 +316,7 @@ def tune(
     tolerance: float = ...,
     chain: Callable[[tuple[Process, ...], Plan], PlanOutcome] | None = ...,
     progress: Callable[[str], None] | None = ...,
+    store: Store | None = ...,
 ) -> Tuning[tuple[Process, ...], PlanOutcome]: ...
 
 
@@ -295,6 +332,7 @@ def tune(
     tolerance: float = TOLERANCE,
     chain: Callable[..., Any] | None = None,
     progress: Callable[[str], None] | None = None,
+    store: Store | None = None,
 ) -> Tuning[Any, Any]:
     """The process whose texture is nearest to the target while all limits hold.
 
@@ -315,12 +353,17 @@ def tune(
         chain: Another model of the process, of the same form as `polish` or, for a plan,
             `plan.follow`.
         progress: Called with a sentence as the stages go by.
+        store: Where finished searches are kept as they end, and taken from if they were
+            finished before: a dictionary, or `files.searches.Searches`. The answer is the
+            same, bit for bit. Needs a chain that is a function of a module, which depends
+            on nothing but its arguments and the source of this package.
 
     Returns:
         The answer of the best start, its certificate, and what became of the others.
 
     Raises:
-        ValueError: if a name or a bound makes no sense.
+        ValueError: if a name or a bound makes no sense, or if searches are to be kept of
+            a chain without a name of its own.
     """
     steps = _steps(setup)
     begin = start if isinstance(start, Process) else tuple(start)
@@ -350,20 +393,27 @@ def tune(
     # an accelerator takes all starts at once
     together = min(starts, TOGETHER if jax.default_backend() == "cpu" else starts)
 
-    def search(places, weight):
-        stage = _Stage(setup, begin, dict(target), limits, weight, unit)
+    reach = _Stage(setup, begin, dict(target), limits, jnp.zeros_like(unit), unit)
+    hold = dataclasses.replace(reach, weight=jnp.ones_like(unit))
+    done = None
+    if store is not None:
+        done = Kept(store, lower, upper, reach, secondary, tolerance, chain)
+        if strange := done.strange():
+            say(strange)
 
+    def search(places, stage, numbers):
         def some(part):
             return _search(part, lower, upper, stage, secondary, tolerance, chain)
 
-        return _in_batches(some, places, together)
+        kinds = np.full(numbers.shape, 1 if stage is reach else 2)
+        return in_batches(some, places, together, done, start=numbers, stage=kinds)
 
     def cost_at(i):
         x = {name: as_scalar(column[i]) for name, column in final.x.items()}
         return float(_cost(outcome(applied(begin, steps, x), setup), secondary))
 
     say(f"reaching for the target from {starts} starts")
-    final = search(places, jnp.zeros_like(unit))
+    final = search(places, reach, np.arange(starts))
     distance = np.max(np.abs(final.residual[0]), axis=1)
     hit = (distance <= HIT) & (final.status == Status.SOLVED)
     say(f"{int(np.sum(hit))} of {starts} starts reach it")
@@ -381,7 +431,8 @@ def tune(
         cost = np.asarray([cost_at(i) for i in range(starts)])
         cheapest = np.argsort(np.where(hit, cost, np.inf))[: min(CHEAPEST, hit.sum())]
         say(f"looking for the least {secondary} from the {len(cheapest)} cheapest answers")
-        held = search({n: x[cheapest] for n, x in final.x.items()}, jnp.ones_like(unit))
+        at = {name: x[cheapest] for name, x in final.x.items()}
+        held = search(at, hold, cheapest)
         far = _far(held, target)
         # where the work ran out on the way to the least cost, the point may still do
         kept = held.scaled_violation <= KEPT
