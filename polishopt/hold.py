@@ -40,8 +40,8 @@ class Schedule(eqx.Module):
     def __call__(self, s: Scalar) -> Scalar:
         """Displacement at the arc length s of the guide [mm]."""
         place = s / self.spacing
-        first = jnp.clip(jnp.floor(place).astype(int), 0, self.coefficients.size - 4)
-        t = place - first
+        below = jnp.clip(jnp.floor(place), 0.0, self.coefficients.size - 4.0)
+        t, first = place - below, below.astype(int)
         weights = jnp.stack(
             [(1 - t) ** 3, 4 + t**2 * (3 * t - 6), 1 + 3 * t * (1 + t - t**2), t**3]
         )
@@ -74,9 +74,7 @@ def loop_bend(process: Process, setup: Setup, s: Scalar) -> Float[Array, "2 2"]:
     return jnp.mean(jax.vmap(at)(phases), axis=0)
 
 
-def held_displacement(
-    process: Process, setup: Setup, bend: Float[Array, "2 2"]
-) -> Scalar:
+def held_displacement(process: Process, setup: Setup, bend: Float[Array, "2 2"]) -> Scalar:
     """The displacement that gives the nominal force or pressure on a part that bends [mm].
 
     Newton's method; the last two steps are differentiated, which makes first and second

@@ -35,7 +35,7 @@ def margin_deviations(
     setup: Setup,
     curvatures: Float[Array, "k 2 2"],
     forces: Float[Array, " k"],
-    displacements: Float[Array, " k"],
+    displacements: Float[Array, " k"] | None = None,
 ) -> tuple[Scalar, Scalar]:
     """Standard deviations of the unstick margin [N] and of the shear margin [MPa].
 
@@ -44,11 +44,11 @@ def margin_deviations(
     error.
 
     Args:
-        process: Tilt is read.
+        process: Tilt and displacement are read.
         setup: The job; tool and errors are read.
         curvatures: Of the part along the path, averaged over each loop [1/mm].
         forces: Force there [N].
-        displacements: Displacement there [mm].
+        displacements: Displacement there, if it is not that of the process [mm].
 
     Source: first-order propagation of errors, by forward-mode differentiation.
     """
@@ -59,8 +59,10 @@ def margin_deviations(
     sampling = setup.sampling
     most = jnp.argmax(forces)
     hardest = curvatures[most]
-    process = dataclasses.replace(process, displacement=displacements[most])
-    deepest = dataclasses.replace(process, displacement=jnp.max(displacements))
+    deepest = process
+    if displacements is not None:
+        deepest = dataclasses.replace(process, displacement=jnp.max(displacements))
+        process = dataclasses.replace(process, displacement=displacements[most])
     curvature = jnp.zeros_like(hardest) if setup.level else hardest
 
     def margins(values):

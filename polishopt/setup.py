@@ -134,7 +134,7 @@ class Setup(eqx.Module):
 
     @property
     def holds(self) -> bool:
-        """Whether the displacement changes along the path; on a plane nothing asks it to."""
+        """Whether the displacement changes along the path, as it does on curved parts."""
         return self.hold != "displacement" and not self.level
 
     @property
