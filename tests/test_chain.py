@@ -151,6 +151,7 @@ def test_gradients_on_the_plane():
     assert gap.max() < 1e-9, gap
 
 
+@pytest.mark.slow
 def test_gradients_on_the_convex_cap():
     setup, process = cap().setup, cap().process
     points = POINTS[:1]

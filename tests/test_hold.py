@@ -161,7 +161,7 @@ def along_the_path(process, setup, s):
 
 
 def test_force_is_constant_along_the_path():
-    """To 1 %, where it varies by a tenth without."""
+    """To 1 %, where it varies by 5 % without."""
     process, setup = felt()
     s = jnp.linspace(0.0, setup.guide.length, 1501)
     forces, e, deeper, exact, flat = along_the_path(process, setup, s)
@@ -173,7 +173,7 @@ def test_force_is_constant_along_the_path():
     done, plain = (
         eqx.filter_jit(mechanics)(*felt(hold)) for hold in ("force", "displacement")
     )
-    assert plain.force_min < 0.9 * plain.force_max
+    assert plain.force_min < 0.96 * plain.force_max
     assert_close(done.force_min, done.force_max, rtol=1e-6)
     assert_close(done.force_max, flat, rtol=1e-6)
     assert done.displacement_max > process.displacement

@@ -40,6 +40,7 @@ def whole():
     return job, run(job.processes, job.plan)
 
 
+@pytest.mark.slow
 def test_steps_are_handed_on_as_if_run_one_by_one():
     """However the mechanics of like steps are batched."""
     job, together = whole()
@@ -231,6 +232,7 @@ def test_a_mistake_in_a_plan_has_its_place(name, tmp_path):
     assert found[0].line == line, str(caught.value)
 
 
+@pytest.mark.slow
 def test_fit_tunes_a_plan(tmp_path):
     """To a texture after the last step; the answer is a config that gives it again."""
     read(tmp_path)
