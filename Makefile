@@ -24,7 +24,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 help:
 	@echo 'make fit          tune the plane part of the paper; CONFIG=file.yaml for another'
 	@echo 'make test         run the test suite; PYTEST_ARGS=... for some of it'
-	@echo 'make test-all     the same with its slow tests, two minutes more'
+	@echo 'make test-all     the same with its slow tests, five minutes more'
 	@echo 'make lint         check format, style and types'
 	@echo 'make notebooks    run the notebooks and write their .ipynb'
 	@echo 'make sensitivity  elasticities of every config, into build/'
@@ -74,22 +74,21 @@ notebooks: $(DEV)
 	$(RUN) -m jupytext --to ipynb --execute --set-kernel python3 $(NOTEBOOKS)
 
 # Runs copies, and compares the sources: outputs may differ between machines.
-notebooks-check: $(DEV)
-	rm -rf build/notebooks && mkdir -p build/notebooks
-	@for source in $(NOTEBOOKS); do \
-	  pair=$${source%.py}.ipynb; name=$$(basename $${source%.py}); \
+notebooks-check: $(NOTEBOOKS:%.py=check-%)
+
+check-notebooks/%: $(DEV)
+	@mkdir -p build/notebooks; pair=notebooks/$*.ipynb; source=notebooks/$*.py; \
 	  $(RUN) -m jupytext --to py:percent --opt notebook_metadata_filter=-all \
-	    --output build/notebooks/$$name.pair.py --quiet $$pair && \
+	    --output build/notebooks/$*.pair.py --quiet $$pair && \
 	  $(RUN) -m jupytext --to py:percent --opt notebook_metadata_filter=-all \
-	    --output build/notebooks/$$name.source.py --quiet $$source && \
-	  diff build/notebooks/$$name.source.py build/notebooks/$$name.pair.py || { \
+	    --output build/notebooks/$*.source.py --quiet $$source && \
+	  diff build/notebooks/$*.source.py build/notebooks/$*.pair.py || { \
 	    echo "$$pair is out of step with $$source: run 'make notebooks'." >&2; exit 1; }; \
 	  test $$(wc -c < $$pair) -lt 300000 || { \
 	    echo "$$pair has 300 kB or more: make its outputs smaller." >&2; exit 1; }; \
 	  echo "running $$source"; \
-	  (cd notebooks && ../$(RUN) -m jupytext --to ipynb --execute --set-kernel python3 \
-	    --run-path . --output ../build/notebooks/$$name.ipynb $$(basename $$source)) || exit 1; \
-	done
+	  cd notebooks && ../$(RUN) -m jupytext --to ipynb --execute --set-kernel python3 \
+	    --run-path . --output ../build/notebooks/$*.ipynb $*.py
 
 sensitivity: $(DEV)
 	@for config in $(CONFIGS); do \

@@ -66,8 +66,8 @@ COUNT = samples(part.process, part.setup)
 
 
 @jax.jit
-def true_minutes(tilt, radius):
-    return run(*changed(tilt, radius), COUNT, jerk=False).law.total / 60
+def true_path(tilt, radius):
+    return run(*changed(tilt, radius), COUNT, jerk=False)
 
 
 tilts, radii = np.radians(np.linspace(2, 15, 27)), (100.0, 200.0, 500.0)
@@ -76,7 +76,8 @@ for radius, colour in zip(radii, ("#0072b2", "#d55e00", "#009e73"), strict=True)
     times = minutes(jnp.asarray(tilts), jnp.full(tilts.size, radius))
     plt.plot(np.degrees(tilts), times, color=colour, label=f"R = {radius:g} mm")
     if radius < 500:
-        dots = [true_minutes(jnp.asarray(tilt), jnp.asarray(radius)) for tilt in few]
+        paths = [true_path(jnp.asarray(tilt), jnp.asarray(radius)) for tilt in few]
+        dots = [path.law.total / 60 for path in paths]
         plt.plot(np.degrees(few), dots, "o", color=colour)
 plt.xlabel("tilt [°]")
 plt.ylabel("time [min]")
@@ -93,12 +94,11 @@ plt.gca().spines[["top", "right"]].set_visible(False)
 # ## Where it happens
 
 # %%
-process, setup = changed(jnp.asarray(np.radians(3.0)), jnp.asarray(100.0))
-path = eqx.filter_jit(run)(process, setup, COUNT, jerk=False)
-feed_plot.feed(path, process)
+path = true_path(jnp.asarray(np.radians(3.0)), jnp.asarray(100.0))
+feed_plot.feed(path, part.process)
 
 # %%
-share = 100 * (1 - float(path.arc[-1] / process.feed / path.law.total))
+share = 100 * (1 - float(path.arc[-1] / part.process.feed / path.law.total))
 Markdown(
     f"At 3° on R = 100 mm the axes take {share:.1f} % of the time; all of it in the middle "
     "of the part, where the slope is less than the tilt and the swing. A wedge under the "

@@ -161,7 +161,7 @@ def along_the_path(process, setup, s):
 
 
 def test_force_is_constant_along_the_path():
-    """To 1 %, where it varies by 5 % without."""
+    """To 1 %, in every loop."""
     process, setup = felt()
     s = jnp.linspace(0.0, setup.guide.length, 1501)
     forces, e, deeper, exact, flat = along_the_path(process, setup, s)
@@ -170,14 +170,13 @@ def test_force_is_constant_along_the_path():
     assert_close(deeper, e - process.displacement, atol=1e-12)
     bend = np.diff(e, 2) / float(s[1] - s[0]) ** 2  # smooth: no jumps in its slope
     assert np.abs(np.diff(bend)).max() < 0.2 * np.ptp(bend)
-    done, plain = (
-        eqx.filter_jit(mechanics)(*felt(hold)) for hold in ("force", "displacement")
-    )
-    assert plain.force_min < 0.96 * plain.force_max
-    assert_close(done.force_min, done.force_max, rtol=1e-6)
+    assert np.ptp(e) > 0.01 * process.displacement
+    done = eqx.filter_jit(mechanics)(process, setup)
+    assert_close(done.force_min, flat, rtol=1e-6)
     assert_close(done.force_max, flat, rtol=1e-6)
+    most = most_displacement(process, setup.tool)
+    assert_close(done.body_clearance, most - done.displacement_max)
     assert done.displacement_max > process.displacement
-    assert_close(done.body_clearance + done.displacement_max, plain.body_clearance + 0.2)
 
 
 def test_the_switch_is_a_key_of_the_config():

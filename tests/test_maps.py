@@ -189,6 +189,7 @@ def answers():
     return found
 
 
+@pytest.mark.slow
 def test_the_worst_place_moves_the_answer_as_the_map_shows(answers):
     """C10: where less was removed Ssk is too high, so the part needs more removal."""
     mean, worst = answers[False], answers[True]

@@ -314,6 +314,7 @@ def test_fit_does_not_search_where_a_clamped_axis_has_to_move(tmp_path, capsys):
     assert not target.exists()
 
 
+@pytest.mark.slow
 def test_the_command_writes_every_language_and_check_none(tmp_path):
     def command(*more):
         given = [sys.executable, "-m", "polishopt.program", CONFIG, "-o", tmp_path / "out"]

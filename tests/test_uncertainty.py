@@ -57,7 +57,10 @@ def drawn(name):
     return np.array(values), np.array(errors)
 
 
-@pytest.mark.parametrize("name", FIELDS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] * (n != "anisotropic")) for n in FIELDS],
+)
 def test_predicted_errors_are_the_scatter_of_maps(name):
     values, errors = drawn(name)
     predicted, observed = np.sqrt(np.mean(errors**2, axis=0)), values.std(axis=0)
