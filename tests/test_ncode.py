@@ -178,7 +178,8 @@ def test_the_config_knows_the_same_languages():
 
 def canonical(path, folder):
     """Where LinuxCNC's own interpreter goes: X Y Z A B C of every move."""
-    (folder / "tool.tbl").write_text("T1 P1 Z0 D18.0 ;disc\nT7 P7 Z0 D18.0 ;disc\n")
+    table = "".join(f"T{n} P{n} Z0 D18.0 ;disc\n" for n in range(1, 10))
+    (folder / "tool.tbl").write_text(table)
     (folder / "par.var").write_text("")
     given = ["-t", folder / "tool.tbl", "-v", folder / "par.var", "-g", path]
     ran = subprocess.run(
