@@ -24,7 +24,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 help:
 	@echo 'make fit          tune the plane part of the paper; CONFIG=file.yaml for another'
 	@echo 'make test         run the test suite; PYTEST_ARGS=... for some of it'
-	@echo 'make test-all     the same with its slow tests, five minutes more'
+	@echo 'make test-all     the same with its slow tests, which take minutes more'
 	@echo 'make lint         check format, style and types'
 	@echo 'make notebooks    run the notebooks and write their .ipynb'
 	@echo 'make sensitivity  elasticities of every config, into build/'

@@ -77,8 +77,8 @@ def run(
         setup: The job.
         samples: Number of samples, static: see `samples`.
         phase: Phase of the trochoid at the start [rad].
-        jerk: Whether the axes keep their limits of jerk too, which takes some ten times
-            as long to find; static. `machine.jerk.check` says whether that could be.
+        jerk: Whether the axes keep their limits of jerk too, which takes twice as long
+            on a plane; static. `machine.jerk.check` says whether that could be.
 
     Source: S0 (Pessoles & Tournier 2009), section 2.2.3.
     """

@@ -70,7 +70,7 @@ from OCP.Interface import Interface_Static  # noqa: E402
 from OCP.STEPControl import STEPControl_StepModelType, STEPControl_Writer  # noqa: E402
 from OCP.TopLoc import TopLoc_Location  # noqa: E402
 from OCP.TopoDS import TopoDS, TopoDS_Compound  # noqa: E402
-from polishopt.files.occt import _quiet, faces, patch  # noqa: E402
+from polishopt.files.occt import faces, patch, quiet_kernel  # noqa: E402
 
 
 SLENDER = Path(__file__).parent / "jobs" / "slender_insert.yaml"
@@ -129,7 +129,7 @@ MOVE.SetTranslationPart(gp_Vec(5, -40, 12))
 def written(shape, folder, unit="MM"):
     """The shape as a STEP file."""
     path = folder / "insert.step"
-    with _quiet():
+    with quiet_kernel():
         writer = STEPControl_Writer()
         Interface_Static.SetCVal_s("write.step.unit", unit)
         writer.Transfer(shape, STEPControl_StepModelType.STEPControl_AsIs)

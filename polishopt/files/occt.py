@@ -59,7 +59,7 @@ def faces(path: str) -> list[Face]:
     Raises:
         StepFaceError: if the file is not STEP.
     """
-    with _quiet():
+    with quiet_kernel():
         try:
             reader = STEPControl_Reader()
             reader.SetSystemLengthUnit(1.0)
@@ -97,7 +97,7 @@ def patch(face: Any) -> Patch:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet_kernel() -> Iterator[None]:
     """Keeps the kernel from printing what it thinks of a file."""
     messenger = Message.DefaultMessenger_s()
     printers = list(messenger.Printers())
