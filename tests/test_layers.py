@@ -26,7 +26,7 @@ texture.planarisation texture.scratches texture.evolution texture.direction
 texture.local texture
 setup constants margin hold mechanics chain plan resolved
 coverage
-blocks preflight
+blocks preflight evenness
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.naming
 optimize.steering optimize.outer optimize.implicit optimize.adapted
