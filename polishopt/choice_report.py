@@ -1,0 +1,231 @@
+"""Choice_report: what became of each combination of choices, as tables and a picture."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.markup import escape
+from rich.table import Table
+
+from .files.config import Loaded
+from .files.results import write_table
+from .optimize.choices import distance
+from .optimize.tune import Tuning, Verdict
+from .plots import BLUE, GREY, ORANGE, PINK
+from .report import answers, empty_table
+from .units import from_internal, label, suffix
+
+
+MOST_SETTINGS = 6  # columns of settings that a screen has room for
+COLOURS = {"solved": BLUE, "infeasible": ORANGE, "not converged": GREY}
+MARKS = {"solved": "o", "infeasible": "X", "not converged": "s"}
+
+
+class Row(NamedTuple):
+    """What became of one combination."""
+
+    number: int
+    """As the combinations were listed, from 1."""
+    rank: int
+    """From 1, the best; 0 where it was not tuned."""
+    chosen: Mapping[str, str]
+    """Its alternatives, by key."""
+    verdict: str
+    """How it ended."""
+    distance: float
+    """From the target, root of the sum of squared misses [tolerances]; NaN if not tuned."""
+    time: float
+    """[s]"""
+    force: float
+    """The largest [N]."""
+    settings: Mapping[str, float]
+    """What was tuned, by its key and in the unit of that."""
+    why: str
+    """What is wrong with it, in a sentence or two; '' for nothing."""
+
+
+def rows(
+    alternatives: Sequence[Loaded],
+    tunings: Mapping[str, Tuning],
+    order: Sequence[str],
+    said: Mapping[str, str],
+    cannot: Mapping[str, str],
+) -> list[Row]:
+    """One row for each combination, as they were listed.
+
+    Args:
+        alternatives: All combinations.
+        tunings: Those that were tuned, by name.
+        order: Their names, the best first.
+        said: How each of them ended, in a sentence.
+        cannot: Why the machine cannot run a combination, by name.
+    """
+    found = []
+    for i, one in enumerate(alternatives):
+        name, tuning = one.name, tunings.get(one.name)
+        why = cannot.get(name, "")
+        if tuning is None:
+            verdict = "infeasible" if why else "not tuned"
+            nothing = (float("nan"),) * 3
+            found.append(Row(i + 1, 0, one.chosen, verdict, *nothing, {}, why))
+            continue
+        verdict = "infeasible" if why else word(tuning)
+        if not why and verdict != "solved":
+            why = said[name]
+        outcome = tuning.outcome
+        row = Row(
+            i + 1,
+            order.index(name) + 1,
+            one.chosen,
+            verdict,
+            distance(tuning),
+            float(outcome.time),
+            float(outcome.force_max),
+            answers(tuning, one),
+            why,
+        )
+        found.append(row)
+    return found
+
+
+def word(tuning: Tuning) -> str:
+    """How a tuning ended, in a word or two."""
+    return Verdict(int(tuning.verdict)).name.lower().replace("_", " ")
+
+
+def brief(tuning: Tuning, secondary: str) -> str:
+    """What became of a tuning, in half a sentence.
+
+    Args:
+        tuning: The answer.
+        secondary: What was made small.
+    """
+    force, minutes = float(tuning.outcome.force_max), float(tuning.outcome.time) / 60
+    cost = f"{force:.4g} N" if secondary == "force" else f"{minutes:.4g} min"
+    return f"{word(tuning)}, {distance(tuning):.3g} tolerances from the target, {cost}"
+
+
+def table(found: Sequence[Row], secondary: str) -> Table:
+    """The combinations for the screen, the best first; those that were not tuned last.
+
+    Args:
+        found: From `rows`.
+        secondary: What was made small.
+    """
+    settings = _settings(found)
+    if len(settings) > MOST_SETTINGS:
+        settings = []
+    names = [
+        f"{key.removesuffix('_' + suffix(key)).replace('_', ' ')}\n{label(suffix(key))}"
+        for key in settings
+    ]
+    cost = "force\nN" if secondary == "force" else "time\nmin"
+    heads = ["", *found[0].chosen, "", "distance\ntolerances", cost, *names]
+    made = empty_table("Choices", *map(escape, heads))
+    for column in made.columns[1 : 2 + len(found[0].chosen)]:
+        column.justify, column.no_wrap = "left", False
+    for row in sorted(found, key=lambda row: row.rank or len(found) + row.number):
+        cost = row.force if secondary == "force" else from_internal(row.time, "min")
+        numbers = ("" if np.isnan(x) else f"{x:.4g}" for x in (_shown(row), cost))
+        values = (
+            f"{row.settings[key]:.4g}" if key in row.settings else "" for key in settings
+        )
+        cells = [str(row.number), *row.chosen.values(), row.verdict, *numbers, *values]
+        made.add_row(*map(escape, cells), style="bold" if row.rank == 1 else "")
+    return made
+
+
+def notes(found: Sequence[Row]) -> list[str]:
+    """What is wrong with combinations, a sentence for those of which the same is true."""
+    alike: dict[str, list[str]] = {}
+    for row in found:
+        if row.why:
+            alike.setdefault(row.why, []).append(str(row.number))
+    return [f"{', '.join(numbers)}: {why}" for why, numbers in alike.items()]
+
+
+def write(found: Sequence[Row], path: Path) -> None:
+    """The combinations as a CSV table, in their order.
+
+    Args:
+        found: From `rows`.
+        path: Where to.
+    """
+    settings = _settings(found)
+
+    def cell(value: float):
+        return "" if np.isnan(value) else value
+
+    heads = ["choice", *found[0].chosen, "rank", "verdict", "distance [tolerances]"]
+    heads += ["time [min]", "force [N]", *settings, "why"]
+    write_table(
+        path,
+        heads,
+        [
+            [
+                row.number,
+                *row.chosen.values(),
+                row.rank or "",
+                row.verdict,
+                cell(row.distance),
+                cell(from_internal(row.time, "min")),
+                cell(row.force),
+                *(row.settings.get(key, "") for key in settings),
+                row.why,
+            ]
+            for row in found
+        ],
+    )
+
+
+def figure(found: Sequence[Row], secondary: str) -> Figure:
+    """Cost against the distance from the target, a numbered dot for each combination.
+
+    Args:
+        found: From `rows`.
+        secondary: What was made small.
+    """
+    tall = max(4.2, 0.9 + 0.2 * len(found))
+    drawn = Figure((9.6, tall), layout="constrained")
+    axes, beside = drawn.subplots(1, 2, width_ratios=(1.6, 1))
+    force = secondary == "force"
+    for verdict, colour in COLOURS.items():
+        rows = [row for row in found if row.verdict == verdict and row.rank]
+        x = [_shown(row) for row in rows]
+        y = [row.force if force else from_internal(row.time, "min") for row in rows]
+        if not rows:
+            continue
+        axes.plot(x, y, MARKS[verdict], color=colour, markersize=6, label=verdict)
+        for row, place in zip(rows, zip(x, y, strict=True), strict=True):
+            text, offset = str(row.number), (6, 4)
+            axes.annotate(text, place, xytext=offset, textcoords="offset points")
+            if row.rank == 1:
+                ring = {"markersize": 14, "markeredgecolor": PINK, "fillstyle": "none"}
+                axes.plot(*place, "o", label="best", **ring)
+    axes.margins(0.12)
+    axes.set_xlabel("distance from the target [tolerances]")
+    axes.set_ylabel("largest force [N]" if force else "time [min]")
+    axes.spines[["top", "right"]].set_visible(False)
+    if any(row.rank for row in found):
+        axes.legend(frameon=False)
+    axes.set_title("What each choice can do within the limits")
+    lines = [
+        f"{row.number}  {', '.join(f'{k} {v}' for k, v in row.chosen.items())}"
+        + ("" if row.rank else f" ({row.verdict})")
+        for row in found
+    ]
+    beside.axis("off")
+    beside.text(0, 1, "\n".join(lines), va="top", fontsize=8, wrap=True, parse_math=False)
+    return drawn
+
+
+def _shown(row: Row) -> float:
+    """The distance, zero where it is below what a search resolves."""
+    return 0.0 if row.verdict == "solved" else row.distance
+
+
+def _settings(found: Sequence[Row]) -> list[str]:
+    """All settings that were tuned in any combination."""
+    return list(dict.fromkeys(key for row in found for key in row.settings))
