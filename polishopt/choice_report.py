@@ -202,7 +202,7 @@ def figure(found: Sequence[Row], secondary: str) -> Figure:
             text, offset = str(row.number), (6, 4)
             axes.annotate(text, place, xytext=offset, textcoords="offset points")
             if row.rank == 1:
-                ring = {"markersize": 14, "markeredgecolor": PINK, "fillstyle": "none"}
+                ring = {"markersize": 14, "fillstyle": "none", "color": PINK}
                 axes.plot(*place, "o", label="best", **ring)
     axes.margins(0.12)
     axes.set_xlabel("distance from the target [tolerances]")

@@ -7,7 +7,7 @@ clamped axes forbid is known before its search, all else once there is an answer
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from .files.config import Loaded
 from .files.searches import Searches
@@ -32,29 +32,31 @@ class Candidate(NamedTuple):
 
     def asked(self):
         """Its arguments for `tune`."""
+        from .files.assemble import PlanJob
         from .optimize.choices import Alternative
 
-        job: Any = self.job
-        setup, start = (
-            (job.plan, job.processes) if self.loaded.steps else (job.setup, job.process)
-        )
-        return Alternative(setup, start, job.between, job.target, job.limits)
+        job = self.job
+        given = (job.between, job.target, job.limits)
+        if isinstance(job, PlanJob):
+            return Alternative(job.plan, job.processes, *given)
+        return Alternative(job.setup, job.process, *given)
 
     def runs(self, settings) -> list:
         """Settings, setup and config of each step, or of the only one."""
-        job: Any = self.job
-        if not self.loaded.steps:
-            return [(settings, job.setup, self.loaded.config)]
-        return list(zip(settings, job.plan.setups, self.loaded.configs, strict=True))
+        from .files.assemble import PlanJob
+
+        if not isinstance(self.job, PlanJob):
+            return [(settings, self.job.setup, self.loaded.config)]
+        return list(zip(settings, self.job.plan.setups, self.loaded.configs, strict=True))
 
     def sentence(self, tuning: "Tuning") -> str:
         """How its tuning ended."""
         from . import plan_report, report
+        from .files.assemble import PlanJob
 
-        if not self.loaded.steps:
+        if not isinstance(self.job, PlanJob):
             return report.verdict(tuning)
-        job: Any = self.job
-        return plan_report.verdict(job, tuning.outcome, tuning)[1]
+        return plan_report.verdict(self.job, tuning.outcome, tuning)[1]
 
 
 def compare(asked: Asked, store: Searches) -> int:
@@ -162,6 +164,7 @@ def _report(
 ) -> int:
     """Writes and prints what became of all candidates, then everything about the best."""
     from . import answer, choice_report
+    from .files.assemble import PlanJob
     from .plots import save
 
     best, secondary = candidates[order[0]], asked.loaded.config.secondary
@@ -172,12 +175,10 @@ def _report(
     for note in choice_report.notes(rows):
         voice.console.print(note, markup=False, highlight=False)
     voice.console.print(f"Best: {order[0]}. {TABLE} has all settings.\n", markup=False)
-    tuning, made = tunings[order[0]], (asked.target, voice)
-    if best.loaded.steps:
-        job: Any = best.job
-        return answer.of_plan(tuning, tuning.outcome, job, best.loaded, *made)
-    job = best.job
-    return answer.of_step(tuning, job, best.loaded, *made)
+    tuning, job = tunings[order[0]], best.job
+    if isinstance(job, PlanJob):
+        return answer.of_plan(tuning, tuning.outcome, job, best.loaded, asked.target, voice)
+    return answer.of_step(tuning, job, best.loaded, asked.target, voice)
 
 
 def _table(

@@ -11,16 +11,25 @@ from pathlib import Path
 import jax.numpy as jnp
 import pytest
 import test_tune
-from polishopt import Goal, Limits, Outcome, Process, Setup, answer, postprocess, tune
-from polishopt import choices as command
-from polishopt import fit as fit_module
-from polishopt import program as program_module
+from polishopt import (
+    Goal,
+    Limits,
+    Outcome,
+    Process,
+    Setup,
+    answer,
+    choices as command,
+    fit as fit_module,
+    postprocess,
+    tune,
+)
 from polishopt.choice_report import Row, figure, notes
 from polishopt.files.config import ConfigError, check, describe, load, optimum
 from polishopt.files.schema import schema_text
 from polishopt.optimize import tune as tune_module
 from polishopt.optimize.choices import Alternative, choose, distance, ranking
 from polishopt.optimize.tune import Verdict
+from polishopt.session import arguments, begin
 from test_tune import BETWEEN, SETUP, START
 
 
@@ -33,7 +42,7 @@ GRAIN = float(SETUP.abrasive.grain)
 
 
 def stand_in(process: Process, setup: Setup) -> Outcome:
-    """Closed forms: pulling takes longer, coarse grains are slow, and too coarse ones rough."""
+    """Closed forms: pulling takes longer, coarse grains too, and the coarsest miss."""
     plain = test_tune.toy(process, setup)
     coarse = setup.abrasive.grain / GRAIN
     slow = 1.25 if setup.pulling else 1.0
@@ -139,7 +148,7 @@ def test_a_plan_names_its_steps_by_number_and_everything_at_the_top():
     assert wrong.source.strip().startswith("steps[1].guide")
 
 
-LINES = PLANE.count("\n") + 2  # of the first choice
+LINES = PLANE.count("\n") + 3  # of the first choice
 
 # choices: (line after the first, parts of the sentence)
 BAD = {
@@ -148,7 +157,7 @@ BAD = {
         ["guide.order is 12, must lie in [1, 7]",
          "with guide.mode pulling, guide.order 12 and 1 more combination"],
     ),
-    "fillet": ("  guide.fillet: [0.5, 0.7]", 0, ["0.7, must lie in (0, 0.5]", "with guide"]),
+    "fillet": ("  guide.fillet: [0.5, 0.7]", 0, ["0.7, must lie in (0, 0.5]", "with gui"]),
     "section": (
         "  guide:\n    - {family: hilbert, order: 3}\n    - {family: lines, count: 1}", 2,
         ["guide.count is 1, must lie in [2, 500]", "with guide {family: lines, count: 1}"],
@@ -161,11 +170,11 @@ BAD = {
         "  tool: [disc_18mm, {preset: disc_18mm, diameter_mm: 4}]", 0,
         ["must be smaller than the disc's radius, 2 mm", "with tool {preset"],
     ),
-    "preset": ("  abrasive: [P600, P801]", 0, ["no preset 'P801'; did you mean 'P80"]),
+    "preset": ("  abrasive: [P600, P60]", 0, ["no preset 'P60'; did you mean 'P600'?"]),
     "wrong_key": (
         "  guide.oder: [2, 3]", 0, ["unknown key 'oder'; did you mean 'order'?"],
     ),
-    "wrong_section": ("  gide.order: [2]", 0, ["unknown key 'gide'; did you mean 'guide'?"]),
+    "wrong_section": ("  gide.order: [2]", 0, ["unknown key 'gide'; did you mean 'guide'"]),
     "beyond": ("  guide.order.x: [2]", 0, ["guide.order is 3, it holds no keys"]),
     "twice": ("  guide.order: [2, 3, 2]", 0, ["choices.guide.order has 2 twice"]),
     "same_key": (
@@ -471,16 +480,19 @@ def test_an_interrupted_comparison_keeps_what_is_finished(tmp_path, cheap, capsy
     assert "another config" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("module", [program_module])
-def test_other_commands_say_that_they_take_the_own_values(module, tmp_path, capsys):
+def test_other_commands_say_that_they_take_the_own_values(tmp_path, capsys):
     path = tmp_path / "job.yaml"
-    path.write_text(with_choices("  guide.order: [2]").replace("order: 3 ", "order: 1 "))
-    given = ["--set=sampling.grid=12", "--no-cache", "--check"]
-    assert module.main([str(path), "-o", str(tmp_path), *given]) == 0
+    path.write_text(with_choices("  guide.order: [2]"))
+    given = [str(path), "-o", str(tmp_path), "--no-cache"]
+    asked = begin(arguments("polishopt.some", "does something"), given)
+    assert not isinstance(asked, int)
+    assert asked.loaded.config.guide.order == 3
     said = capsys.readouterr().err
     assert (
         "polishopt.fit compares the choices; this is about the config's own values" in said
     )
+    assert not isinstance(begin(arguments("x", "y"), [*given, "--quiet"]), int)
+    assert not capsys.readouterr().err
 
 
 def test_the_picture_and_the_notes_name_every_choice():

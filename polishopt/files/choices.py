@@ -67,7 +67,7 @@ def combinations(
     if count > MOST and not problems:
         sentence = f"{CHOICES} make {count} combinations, must make at most {MOST}"
         problems.append(place.problem((CHOICES,), sentence, at_key=True))
-    if problems or not plain:
+    if problems or not plain or None in plain.values():
         return [], problems
     words = {key: called(values) for key, values in plain.items()}
     made = []
@@ -105,7 +105,7 @@ def malformed(plain: Mapping[str, Any], place: Located) -> list[Problem]:
         before[key] = path
         if not isinstance(values, list) or not values:
             sentence = f"{shown(at)} is {typed(values)}, must be a list of alternatives"
-            if values is not None:  # that is said already
+            if values is not None:  # who checks the config says that it has no value
                 problems.append(place.problem(at, f"{sentence}, such as [2, 3]"))
             continue
         for i, value in enumerate(values):

@@ -375,7 +375,7 @@ def compared(loaded: Loaded) -> str:
     listed = "; ".join(f"{key} {', '.join(found)}" for key, found in words.items())
     return (
         f"choices: {listed}\npolishopt.fit tunes all {len(loaded.alternatives)} "
-        "combinations, and all of them are sound; above are the config's own values"
+        "combinations, and all of them pass this check; above are the config's own values"
     )
 
 

@@ -31,7 +31,11 @@ class Located:
             # a key that is wrong is so for all its alternatives
             whole = at_key and held == len(keys)
             keys = alternative[:-1] if whole else (*alternative, *keys[held:])
-            ends = range(len(keys), 0, -1)
+        elif keys and keys not in self.found.values:
+            # a section that is there for an alternative alone
+            within = (to for at, to in self.chosen.items() if at[: len(keys)] == keys)
+            keys = next(within, (*keys, ...))[:-1]
+        ends = range(len(keys), 0, -1)
         for end in ends:
             if keys[:end] in self.origin:
                 return Problem(self.origin[keys[:end]], sentence)
