@@ -6,9 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
+from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
+from .files.choices import title
 from .files.config import Loaded
 from .files.results import write_table
 from .optimize.choices import distance
@@ -18,7 +21,7 @@ from .report import answers, empty_table
 from .units import from_internal, label, suffix
 
 
-MOST_SETTINGS = 6  # columns of settings that a screen has room for
+TABLE = "choices.csv"
 COLOURS = {"solved": BLUE, "infeasible": ORANGE, "not converged": GREY}
 MARKS = {"solved": "o", "infeasible": "X", "not converged": "s"}
 
@@ -68,8 +71,9 @@ def rows(
         why = cannot.get(name, "")
         if tuning is None:
             verdict = "infeasible" if why else "not tuned"
-            nothing = (float("nan"),) * 3
-            found.append(Row(i + 1, 0, one.chosen, verdict, *nothing, {}, why))
+            nan = float("nan")
+            row = Row(i + 1, 0, one.chosen, verdict, nan, nan, nan, {}, why)
+            found.append(row)
             continue
         verdict = "infeasible" if why else word(tuning)
         if not why and verdict != "solved":
@@ -107,34 +111,75 @@ def brief(tuning: Tuning, secondary: str) -> str:
     return f"{word(tuning)}, {distance(tuning):.3g} tolerances from the target, {cost}"
 
 
-def table(found: Sequence[Row], secondary: str) -> Table:
+def show(console: Console, found: Sequence[Row], secondary: str) -> None:
+    """Prints what became of the combinations, and which is the best.
+
+    Args:
+        console: Where to.
+        found: From `rows`.
+        secondary: What was made small.
+    """
+    made, lines = table(found, secondary, console.width), notes(found)
+    if not {escape(key) for key in found[0].chosen} <= {c.header for c in made.columns}:
+        lines = [*listed(found), *lines]
+    best = next(row for row in found if row.rank == 1)
+    lines.append(f"Best: {title(best.chosen)}. All settings are in {TABLE}.\n")
+    console.print(made)
+    console.print(Text("\n".join(lines)))
+
+
+def table(found: Sequence[Row], secondary: str, width: int) -> Table:
     """The combinations for the screen, the best first; those that were not tuned last.
+
+    Their settings, and then their alternatives, are left out where there is no room.
 
     Args:
         found: From `rows`.
         secondary: What was made small.
+        width: Letters in a line.
     """
-    settings = _settings(found)
-    if len(settings) > MOST_SETTINGS:
-        settings = []
-    names = [
-        f"{key.removesuffix('_' + suffix(key)).replace('_', ' ')}\n{label(suffix(key))}"
-        for key in settings
-    ]
-    cost = "force\nN" if secondary == "force" else "time\nmin"
-    heads = ["", *found[0].chosen, "", "distance\ntolerances", cost, *names]
-    made = empty_table("Choices", *map(escape, heads))
-    for column in made.columns[1 : 2 + len(found[0].chosen)]:
-        column.justify, column.no_wrap = "left", False
-    for row in sorted(found, key=lambda row: row.rank or len(found) + row.number):
-        cost = row.force if secondary == "force" else from_internal(row.time, "min")
-        numbers = ("" if np.isnan(x) else f"{x:.4g}" for x in (_shown(row), cost))
-        values = (
-            f"{row.settings[key]:.4g}" if key in row.settings else "" for key in settings
-        )
-        cells = [str(row.number), *row.chosen.values(), row.verdict, *numbers, *values]
+    order = sorted(found, key=lambda row: row.rank or len(found) + row.number)
+    force = secondary == "force"
+    numbers = {"": [str(row.number) for row in order]}
+    keys = {key: [row.chosen[key] for row in order] for key in found[0].chosen}
+    ends = {
+        "ended": [row.verdict for row in order],
+        "distance\ntolerances": [_number(_shown(row)) for row in order],
+        "force\nN" if force else "time\nmin": [
+            _number(row.force if force else from_internal(row.time, "min")) for row in order
+        ],
+    }
+    settings = {
+        f"{key.removesuffix('_' + suffix(key)).replace('_', chr(10))}\n"
+        f"{label(suffix(key))}": [_number(row.settings.get(key, np.nan)) for row in order]
+        for key in _settings(found)
+    }
+    columns = numbers | keys | ends | settings
+    for fewer in (numbers | keys | ends, numbers | ends | settings, numbers | ends):
+        if sum(map(_wide, columns.items())) > width:
+            columns = fewer
+    made = empty_table("Choices", *map(escape, columns))
+    for column, head in zip(made.columns, columns, strict=True):
+        column.justify = "left" if head in (*keys, "ended") else "right"
+    for row, cells in zip(order, zip(*columns.values(), strict=True), strict=True):
         made.add_row(*map(escape, cells), style="bold" if row.rank == 1 else "")
     return made
+
+
+def _wide(column: tuple[str, Sequence[str]]) -> int:
+    """Letters that a column of a table takes."""
+    head, cells = column
+    return 2 + max(map(len, (*head.splitlines(), *cells)))
+
+
+def _number(value: float) -> str:
+    """A number for the screen; nothing where there is none."""
+    return "" if np.isnan(value) else f"{value:.4g}"
+
+
+def listed(found: Sequence[Row]) -> list[str]:
+    """The numbers of the combinations, and what they stand for."""
+    return [f"{row.number}: {title(row.chosen)}" for row in found]
 
 
 def notes(found: Sequence[Row]) -> list[str]:
@@ -212,9 +257,8 @@ def figure(found: Sequence[Row], secondary: str) -> Figure:
         axes.legend(frameon=False)
     axes.set_title("What each choice can do within the limits")
     lines = [
-        f"{row.number}  {', '.join(f'{k} {v}' for k, v in row.chosen.items())}"
-        + ("" if row.rank else f" ({row.verdict})")
-        for row in found
+        line if row.rank else f"{line} ({row.verdict})"
+        for row, line in zip(found, listed(found), strict=True)
     ]
     beside.axis("off")
     beside.text(0, 1, "\n".join(lines), va="top", fontsize=8, wrap=True, parse_math=False)

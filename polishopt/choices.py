@@ -6,7 +6,6 @@ clamped axes forbid is known before its search, all else once there is an answer
 
 import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from .files.config import Loaded
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
     from .files.assemble import Job, PlanJob
     from .optimize.choices import Choice
     from .optimize.tune import Tuning
-
-TABLE = "choices.csv"
 
 
 class Candidate(NamedTuple):
@@ -171,10 +168,7 @@ def _report(
     rows = _table(candidates, tunings, order, cannot, asked)
     for kind in (".png", ".svg"):
         save(choice_report.figure(rows, secondary), asked.target / f"choices{kind}")
-    voice.console.print(choice_report.table(rows, secondary))
-    for note in choice_report.notes(rows):
-        voice.console.print(note, markup=False, highlight=False)
-    voice.console.print(f"Best: {order[0]}. {TABLE} has all settings.\n", markup=False)
+    choice_report.show(voice.console, rows, secondary)
     tuning, job = tunings[order[0]], best.job
     if isinstance(job, PlanJob):
         return answer.of_plan(tuning, tuning.outcome, job, best.loaded, asked.target, voice)
@@ -194,7 +188,7 @@ def _table(
     said = {name: candidates[name].sentence(tuning) for name, tuning in tunings.items()}
     given = asked.loaded.alternatives
     rows = choice_report.rows(given, tunings, order, said, cannot)
-    choice_report.write(rows, asked.target / TABLE)
+    choice_report.write(rows, asked.target / choice_report.TABLE)
     return rows
 
 
@@ -206,6 +200,7 @@ def _interrupted(
     store: Searches,
 ) -> str:
     """How far it came, in a few sentences; what is finished is in `choices.csv`."""
+    from .choice_report import TABLE
     from .interruption import interrupted
     from .optimize.choices import ranking
 
@@ -213,7 +208,7 @@ def _interrupted(
     if tunings:
         order = ranking(tunings, asked.loaded.config.secondary)
         _table(candidates, tunings, order, cannot, asked)
-        where: Path = asked.target / TABLE
+        where = asked.target / TABLE
         said.append(f"{len(tunings)} of {len(candidates)} choices are done, see {where}.")
     if left:
         now = asked._replace(loaded=candidates[left[0]].loaded)
