@@ -22,6 +22,8 @@ from .units import from_internal, label, suffix
 
 
 TABLE = "choices.csv"
+CLOSE = 0.03  # of a picture: dots nearer to each other share a label
+SAME = 1e-3  # of a cost: no more than this is no reason to prefer one
 COLOURS = {"solved": BLUE, "infeasible": ORANGE, "not converged": GREY}
 MARKS = {"solved": "o", "infeasible": "X", "not converged": "s"}
 
@@ -123,7 +125,16 @@ def show(console: Console, found: Sequence[Row], secondary: str) -> None:
     if not {escape(key) for key in found[0].chosen} <= {c.header for c in made.columns}:
         lines = [*listed(found), *lines]
     best = next(row for row in found if row.rank == 1)
-    lines.append(f"Best: {title(best.chosen)}. All settings are in {TABLE}.\n")
+    alike = [
+        str(row.number)
+        for row in found
+        if secondary != "none"
+        and row.verdict == best.verdict == "solved"
+        and row is not best
+        and _cost(row, secondary) <= (1 + SAME) * _cost(best, secondary)
+    ]
+    also = f" As good to {100 * SAME:g} %: {', '.join(alike)}." if alike else ""
+    lines.append(f"Best: {title(best.chosen)}.{also} All settings are in {TABLE}.\n")
     console.print(made)
     console.print(Text("\n".join(lines)))
 
@@ -146,7 +157,7 @@ def table(found: Sequence[Row], secondary: str, width: int) -> Table:
         "ended": [row.verdict for row in order],
         "distance\ntolerances": [_number(_shown(row)) for row in order],
         "force\nN" if force else "time\nmin": [
-            _number(row.force if force else from_internal(row.time, "min")) for row in order
+            _number(_cost(row, secondary)) for row in order
         ],
     }
     settings = {
@@ -232,28 +243,30 @@ def figure(found: Sequence[Row], secondary: str) -> Figure:
         found: From `rows`.
         secondary: What was made small.
     """
-    tall = max(4.2, 0.9 + 0.2 * len(found))
-    drawn = Figure((9.6, tall), layout="constrained")
+    drawn = Figure((9.6, max(4.2, 0.9 + 0.2 * len(found))), layout="constrained")
     axes, beside = drawn.subplots(1, 2, width_ratios=(1.6, 1))
-    force = secondary == "force"
+    tuned = [row for row in found if row.rank]
+    at = {row.number: (_shown(row), _cost(row, secondary)) for row in tuned}
     for verdict, colour in COLOURS.items():
-        rows = [row for row in found if row.verdict == verdict and row.rank]
-        x = [_shown(row) for row in rows]
-        y = [row.force if force else from_internal(row.time, "min") for row in rows]
-        if not rows:
-            continue
-        axes.plot(x, y, MARKS[verdict], color=colour, markersize=6, label=verdict)
-        for row, place in zip(rows, zip(x, y, strict=True), strict=True):
-            text, offset = str(row.number), (6, 4)
-            axes.annotate(text, place, xytext=offset, textcoords="offset points")
-            if row.rank == 1:
-                ring = {"markersize": 14, "fillstyle": "none", "color": PINK}
-                axes.plot(*place, "o", label="best", **ring)
-    axes.margins(0.12)
+        places = [at[row.number] for row in tuned if row.verdict == verdict]
+        if places:
+            axes.plot(
+                *zip(*places, strict=True), MARKS[verdict], color=colour, label=verdict
+            )
+    for row in tuned:
+        if row.rank == 1:
+            ring = {"markersize": 14, "color": PINK, "fillstyle": "none"}
+            axes.plot(*at[row.number], "o", label="best", **ring)
+    far = max((x for x, _ in at.values()), default=0.0)
+    axes.set_xlim(-0.04 * max(far, 1.0), 1.1 * max(far, 1.0))
+    axes.margins(y=0.12)
+    for members in _near(at):
+        numbers = ", ".join(map(str, members))
+        axes.annotate(numbers, at[members[0]], xytext=(8, 5), textcoords="offset points")
     axes.set_xlabel("distance from the target [tolerances]")
-    axes.set_ylabel("largest force [N]" if force else "time [min]")
+    axes.set_ylabel("largest force [N]" if secondary == "force" else "time [min]")
     axes.spines[["top", "right"]].set_visible(False)
-    if any(row.rank for row in found):
+    if tuned:
         axes.legend(frameon=False)
     axes.set_title("What each choice can do within the limits")
     lines = [
@@ -265,9 +278,29 @@ def figure(found: Sequence[Row], secondary: str) -> Figure:
     return drawn
 
 
+def _near(at: Mapping[int, tuple[float, float]]) -> list[list[int]]:
+    """Numbers of dots, those together whose labels would lie over each other."""
+    spans = [max(max(part) - min(part), 1e-12) for part in zip(*at.values(), strict=True)]
+    groups: list[list[int]] = []
+    for number, place in at.items():
+        for group in groups:
+            off = zip(place, at[group[0]], spans, strict=True)
+            if all(abs(a - b) <= CLOSE * span for a, b, span in off):
+                group.append(number)
+                break
+        else:
+            groups.append([number])
+    return groups
+
+
 def _shown(row: Row) -> float:
     """The distance, zero where it is below what a search resolves."""
     return 0.0 if row.verdict == "solved" else row.distance
+
+
+def _cost(row: Row, secondary: str) -> float:
+    """Largest force [N], or time [min]."""
+    return row.force if secondary == "force" else from_internal(row.time, "min")
 
 
 def _settings(found: Sequence[Row]) -> list[str]:

@@ -509,16 +509,17 @@ def test_the_picture_and_the_notes_name_every_choice():
         Row(1, 2, {"a": "x"}, "infeasible", 2.0, 60.0, 1.0, {"tilt_deg": 3.0}, "too hard"),
         Row(2, 1, {"a": "$y_"}, "solved", 1e-6, 120.0, 2.0, {"tilt_deg": 4.0}, ""),
         Row(3, 3, {"a": "z"}, "not converged", 3.0, 30.0, 1.0, {}, "too hard"),
+        Row(5, 4, {"a": "z"}, "not converged", 3.01, 31.0, 1.0, {}, ""),
         Row(4, 0, {"a": "w"}, "infeasible", nan, nan, nan, {}, "clamped"),
     ]
     assert notes(rows) == ["1, 3: too hard", "4: clamped"]
     axes, beside = figure(rows, "time").axes
     assert axes.get_ylabel() == "time [min]"
     numbers = [text.get_text() for text in axes.texts]
-    assert sorted(numbers) == ["1", "2", "3"]
+    assert sorted(numbers) == ["1", "2", "3, 5"]
     assert axes.get_xlabel() == "distance from the target [tolerances]"
     (key,) = beside.texts
-    assert key.get_text().splitlines()[3] == "4: a w (infeasible)"
+    assert key.get_text().splitlines()[4] == "4: a w (infeasible)"
     assert figure(rows, "force").axes[0].get_ylabel() == "largest force [N]"
 
 
@@ -542,7 +543,7 @@ def test_the_table_leaves_out_what_has_no_room(width, heads):
     told = io.StringIO()
     show(Console(file=told, width=width), rows, "time")
     assert ("2: a word" in told.getvalue()) == ("a" not in heads)
-    assert "Best: a w." in told.getvalue()
+    assert "Best: a w. As good to 0.1 %: 1. All" in " ".join(told.getvalue().split())
 
 
 @pytest.mark.slow
