@@ -210,7 +210,7 @@ def _interrupted(
         _table(candidates, tunings, order, cannot, asked)
         where = asked.target / TABLE
         said.append(f"{len(tunings)} of {len(candidates)} choices are done, see {where}.")
-    if left:
+    if left and (store.used or not tunings):
         now = asked._replace(loaded=candidates[left[0]].loaded)
         said.append(f"{left[0]}: {interrupted(now, store)}")
     else:

@@ -27,7 +27,7 @@ from polishopt.choice_report import Row, figure, notes, show, table as table_of
 from polishopt.files.assemble import job
 from polishopt.files.config import ConfigError, check, describe, load, optimum
 from polishopt.files.schema import schema_text
-from polishopt.optimize import tune as tune_module
+from polishopt.optimize import kept as kept_module, tune as tune_module
 from polishopt.optimize.choices import Alternative, choose, distance, ranking
 from polishopt.optimize.tune import Verdict
 from polishopt.session import arguments, begin
@@ -341,6 +341,19 @@ def test_tunings_rank_as_starts_do(chosen):
 def test_no_alternative_is_no_question():
     with pytest.raises(ValueError, match="`alternatives` is empty"):
         choose({})
+
+
+def test_what_another_version_finished_is_not_taken_in_silence(monkeypatch):
+    jobs, store, said = dict(list(alternatives().items())[:1]), {}, []
+    choose(jobs, starts=4, chain=stand_in, store=store)
+    kept = len(store)
+    choose(jobs, starts=4, chain=stand_in, store=store, progress=said.append)
+    assert len(store) == kept
+    assert not any("another" in sentence for sentence in said)
+    monkeypatch.setattr(kept_module, "surroundings", lambda: b"another version")
+    choose(jobs, starts=4, chain=stand_in, store=store, progress=said.append)
+    assert len(store) == 2 * kept
+    assert sum("another version" in sentence for sentence in said) == 1
 
 
 # the command

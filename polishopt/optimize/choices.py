@@ -15,7 +15,7 @@ from ..plan import Plan
 from ..setup import Setup
 from .certificate import Status
 from .goals import Goal, Limits, PlanLimits
-from .kept import Store
+from .kept import Store, outdated
 from .tune import TOLERANCE, Tuning, Verdict, tune
 
 
@@ -100,6 +100,8 @@ def choose(
     say = progress or (lambda _: None)
     # its signatures are those of one step and of a plan: here it may be either
     search: Callable[..., Tuning] = tune
+    if store is not None and (old := outdated(store)):
+        say(old)
     tunings: dict[str, Tuning] = {}
     for i, (name, job) in enumerate(alternatives.items()):
         say(f"choice {i + 1} of {len(alternatives)}: {name}")
@@ -122,9 +124,10 @@ def choose(
 def ranking(tunings: Mapping[str, Tuning], secondary: str = "time") -> tuple[str, ...]:
     """The names of tunings, the best first, as `tune` ranks its starts.
 
-    First those that are solved, by the secondary objective, or by the distance from the
-    target where there is none; then those that keep the limits, by that distance; then
-    the rest, by how far they exceed the limits.
+    First those that are solved, by the secondary objective to six digits, or by the
+    distance from the target where there is none; then those that keep the limits, by that
+    distance; then the rest, by how far they exceed the limits. Of equals the one given
+    first is the better.
 
     Args:
         tunings: Answers by name.
@@ -139,7 +142,8 @@ def ranking(tunings: Mapping[str, Tuning], secondary: str = "time") -> tuple[str
         one, far = tunings[name], distance(tunings[name])
         if int(one.verdict) == Verdict.SOLVED:
             best = {"time": one.outcome.time, "force": one.outcome.force_max}
-            place = 0, float(best.get(secondary, far)), far
+            # beyond this a search does not tell two costs apart: then the first given
+            place = 0, float(f"{float(best.get(secondary, far)):.6g}"), 0.0
         elif int(one.statuses[one.best]) == Status.SOLVED:
             place = 1, far, 0.0
         else:
