@@ -52,7 +52,7 @@ def stand_in(process: Process, setup: Setup) -> Outcome:
     return dataclasses.replace(
         plain,
         time=plain.time * slow * (1 + 0.1 * (coarse - 1)),
-        force_max=plain.force_max / slow,
+        force_max=plain.force_max * coarse**0.1 / slow,
         Sku=plain.Sku + 2 * jnp.maximum(coarse - 2, 0.0),
     )
 
