@@ -11,13 +11,14 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from .files.assemble import NAMES
 from .files.choices import title
 from .files.config import Loaded
 from .files.results import write_table
 from .optimize.choices import distance
 from .optimize.tune import Tuning, Verdict
 from .plots import BLUE, GREY, ORANGE, PINK
-from .report import answers, empty_table
+from .report import SYMBOLS, answers, empty_table
 from .units import from_internal, label, suffix
 
 
@@ -161,8 +162,7 @@ def table(found: Sequence[Row], secondary: str, width: int) -> Table:
         ],
     }
     settings = {
-        f"{key.removesuffix('_' + suffix(key)).replace('_', chr(10))}\n"
-        f"{label(suffix(key))}": [_number(row.settings.get(key, np.nan)) for row in order]
+        _symbol(key): [_number(row.settings.get(key, np.nan)) for row in order]
         for key in _settings(found)
     }
     columns = numbers | keys | ends | settings
@@ -175,6 +175,15 @@ def table(found: Sequence[Row], secondary: str, width: int) -> Table:
     for row, cells in zip(order, zip(*columns.values(), strict=True), strict=True):
         made.add_row(*map(escape, cells), style="bold" if row.rank == 1 else "")
     return made
+
+
+def _symbol(key: str) -> str:
+    """A setting over a column: its symbol and unit, in a plan below the step."""
+    step, _, word = key.rpartition(" ")
+    unit = suffix(word)
+    plain = word.removesuffix(f"_{unit}") if unit else word
+    symbol = SYMBOLS[NAMES.get(plain, plain)] or plain
+    return "\n".join(filter(None, (step, symbol, label(unit))))
 
 
 def _wide(column: tuple[str, Sequence[str]]) -> int:

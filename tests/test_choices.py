@@ -540,7 +540,7 @@ def test_the_picture_and_the_notes_name_every_choice():
     ("width", "heads"),
     [
         (80, ["", "a", "ended", "distance\ntolerances", "time\nmin", "tilt\n°"]),
-        (44, ["", "a", "ended", "distance\ntolerances", "time\nmin"]),
+        (42, ["", "a", "ended", "distance\ntolerances", "time\nmin"]),
         (38, ["", "ended", "distance\ntolerances", "time\nmin"]),
     ],
 )
