@@ -539,9 +539,10 @@ def test_the_picture_and_the_notes_name_every_choice():
 @pytest.mark.parametrize(
     ("width", "heads"),
     [
-        (80, ["", "a", "ended", "distance\ntolerances", "time\nmin", "tilt\n°"]),
-        (42, ["", "a", "ended", "distance\ntolerances", "time\nmin"]),
-        (38, ["", "ended", "distance\ntolerances", "time\nmin"]),
+        (80, ["", "a", "ended", "distance\ntolerances", "time\nmin", "θ\n°"]),
+        (41, ["", "a", "ended", "distance\ntolerances", "time\nmin"]),
+        (38, ["", "ended", "distance\ntolerances", "time\nmin", "θ\n°"]),
+        (34, ["", "ended", "distance\ntolerances", "time\nmin"]),
     ],
 )
 def test_the_table_leaves_out_what_has_no_room(width, heads):
