@@ -1,11 +1,10 @@
-"""Choice_report: what became of each combination of choices, as tables and a picture."""
+"""Choice_report: what became of each combination of choices, on the screen and as CSV."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -17,16 +16,12 @@ from .files.config import Loaded
 from .files.results import write_table
 from .optimize.choices import distance
 from .optimize.tune import Tuning, Verdict
-from .plots import BLUE, GREY, ORANGE, PINK
 from .report import SYMBOLS, answers, empty_table
 from .units import from_internal, label, suffix
 
 
 TABLE = "choices.csv"
-CLOSE = 0.03  # of a picture: dots nearer to each other share a label
 SAME = 1e-3  # of a cost: no more than this is no reason to prefer one
-COLOURS = {"solved": BLUE, "infeasible": ORANGE, "not converged": GREY}
-MARKS = {"solved": "o", "infeasible": "X", "not converged": "s"}
 
 
 class Row(NamedTuple):
@@ -132,7 +127,7 @@ def show(console: Console, found: Sequence[Row], secondary: str) -> None:
         if secondary != "none"
         and row.verdict == best.verdict == "solved"
         and row is not best
-        and _cost(row, secondary) <= (1 + SAME) * _cost(best, secondary)
+        and cost(row, secondary) <= (1 + SAME) * cost(best, secondary)
     ]
     also = f" As good to {100 * SAME:g} %: {', '.join(alike)}." if alike else ""
     lines.append(f"Best: {title(best.chosen)}.{also} All settings are in {TABLE}.\n")
@@ -156,9 +151,9 @@ def table(found: Sequence[Row], secondary: str, width: int) -> Table:
     keys = {key: [row.chosen[key] for row in order] for key in found[0].chosen}
     ends = {
         "ended": [row.verdict for row in order],
-        "distance\ntolerances": [_number(_shown(row)) for row in order],
+        "distance\ntolerances": [_number(shown(row)) for row in order],
         "force\nN" if force else "time\nmin": [
-            _number(_cost(row, secondary)) for row in order
+            _number(cost(row, secondary)) for row in order
         ],
     }
     settings = {
@@ -245,69 +240,12 @@ def write(found: Sequence[Row], path: Path) -> None:
     )
 
 
-def figure(found: Sequence[Row], secondary: str) -> Figure:
-    """Cost against the distance from the target, a numbered dot for each combination.
-
-    Args:
-        found: From `rows`.
-        secondary: What was made small.
-    """
-    drawn = Figure((9.6, max(4.2, 0.9 + 0.2 * len(found))), layout="constrained")
-    axes, beside = drawn.subplots(1, 2, width_ratios=(1.6, 1))
-    tuned = [row for row in found if row.rank]
-    at = {row.number: (_shown(row), _cost(row, secondary)) for row in tuned}
-    for verdict, colour in COLOURS.items():
-        places = [at[row.number] for row in tuned if row.verdict == verdict]
-        if places:
-            axes.plot(
-                *zip(*places, strict=True), MARKS[verdict], color=colour, label=verdict
-            )
-    for row in tuned:
-        if row.rank == 1:
-            ring = {"markersize": 14, "color": PINK, "fillstyle": "none"}
-            axes.plot(*at[row.number], "o", label="best", **ring)
-    far = max((x for x, _ in at.values()), default=0.0)
-    axes.set_xlim(-0.04 * max(far, 1.0), 1.1 * max(far, 1.0))
-    axes.margins(y=0.12)
-    for members in _near(at):
-        numbers = ", ".join(map(str, members))
-        axes.annotate(numbers, at[members[0]], xytext=(8, 5), textcoords="offset points")
-    axes.set_xlabel("distance from the target [tolerances]")
-    axes.set_ylabel("largest force [N]" if secondary == "force" else "time [min]")
-    axes.spines[["top", "right"]].set_visible(False)
-    if tuned:
-        axes.legend(frameon=False)
-    axes.set_title("What each choice can do within the limits")
-    lines = [
-        line if row.rank else f"{line} ({row.verdict})"
-        for row, line in zip(found, listed(found), strict=True)
-    ]
-    beside.axis("off")
-    beside.text(0, 1, "\n".join(lines), va="top", fontsize=8, wrap=True, parse_math=False)
-    return drawn
-
-
-def _near(at: Mapping[int, tuple[float, float]]) -> list[list[int]]:
-    """Numbers of dots, those together whose labels would lie over each other."""
-    spans = [max(max(part) - min(part), 1e-12) for part in zip(*at.values(), strict=True)]
-    groups: list[list[int]] = []
-    for number, place in at.items():
-        for group in groups:
-            off = zip(place, at[group[0]], spans, strict=True)
-            if all(abs(a - b) <= CLOSE * span for a, b, span in off):
-                group.append(number)
-                break
-        else:
-            groups.append([number])
-    return groups
-
-
-def _shown(row: Row) -> float:
+def shown(row: Row) -> float:
     """The distance, zero where it is below what a search resolves."""
     return 0.0 if row.verdict == "solved" else row.distance
 
 
-def _cost(row: Row, secondary: str) -> float:
+def cost(row: Row, secondary: str) -> float:
     """Largest force [N], or time [min]."""
     return row.force if secondary == "force" else from_internal(row.time, "min")
 

@@ -160,14 +160,14 @@ def _report(
     voice: Voice,
 ) -> int:
     """Writes and prints what became of all candidates, then everything about the best."""
-    from . import answer, choice_report
+    from . import answer, choice_plot, choice_report
     from .files.assemble import PlanJob
     from .plots import save
 
     best, secondary = candidates[order[0]], asked.loaded.config.secondary
     rows = _table(candidates, tunings, order, cannot, asked)
     for kind in (".png", ".svg"):
-        save(choice_report.figure(rows, secondary), asked.target / f"choices{kind}")
+        save(choice_plot.figure(rows, secondary), asked.target / f"choices{kind}")
     choice_report.show(voice.console, rows, secondary)
     tuning, job = tunings[order[0]], best.job
     if isinstance(job, PlanJob):

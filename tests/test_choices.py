@@ -23,7 +23,8 @@ from polishopt import (
     postprocess,
     tune,
 )
-from polishopt.choice_report import Row, figure, notes, show, table as table_of
+from polishopt.choice_plot import figure
+from polishopt.choice_report import Row, notes, show, table as table_of
 from polishopt.files.assemble import job
 from polishopt.files.config import ConfigError, check, describe, load, optimum
 from polishopt.files.schema import schema_text
