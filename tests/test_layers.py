@@ -38,7 +38,8 @@ optimize.runs optimize.calibrate optimize.identify optimize
 files
 postprocess plots feed_plot path_plots shares_plot report basin_report front_plot results
 plan_report session program
-interruption relax answer choice_report choice_plot choices fit front sensitivity attribution
+interruption relax answer choice_report choice_plot choices
+fit front sensitivity attribution
 measure
 calibrate
 texture.__main__
