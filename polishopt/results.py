@@ -221,6 +221,7 @@ def numbers(
             "verdict": report.ended(tuning, programs).name.lower(),
             "sentence": report.verdict(tuning, programs),
             "units": "mm, N, s, rad, MPa",
+            **({"choice": loaded.chosen} if loaded.chosen else {}),
             "answers": report.answers(tuning, loaded),
             "process": vars(tuning.process),
             "target": {k: vars(goal) for k, goal in job.target.items()},
