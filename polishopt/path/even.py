@@ -121,8 +121,9 @@ def _polynomials(x: Scalar, count: int) -> Float[Array, " count"]:
 
 @_polynomials.defjvp
 def _polynomials_jvp(count, at, way):
-    """Their derivatives are sums of themselves: differentiating the recurrence up to three
-    times over, as the axes need, would make most of a program of it."""
+    """Their derivatives, which are sums of themselves."""
+    # differentiating the recurrence, up to three times as the axes need, would make most
+    # of a compiled program of it
     values = _polynomials(*at, count)
     slopes = np.zeros((count, count))
     for k, unit in enumerate(np.eye(count)[1:], start=1):
