@@ -16,9 +16,8 @@ from polishopt.optimize.variance import sobol_shares, variance_shares
 from polishopt.shares_plot import variance_bars
 
 
-SETUP = job(
-    load(Path(__file__).parent.parent / "configs" / "pessoles2009_plane.yaml").config
-).setup
+PLANE = Path(__file__).parent.parent / "configs" / "pessoles2009_plane.yaml"
+SETUP = job(load(PLANE).config).setup
 START = Process(0.1, 0.3, 1.0, 6.0, 16.7, 209.0)
 BOX: dict[str, tuple[float, float]] = dict.fromkeys(
     ("one", "two", "three"), (-np.pi, np.pi)
@@ -86,6 +85,24 @@ def test_a_chain_and_its_files(tmp_path):
     assert rows[0].startswith("outcome,unit,setting,deviation,first,first_low,first_high")
     assert len(rows) == 7
     assert variance_bars(found).axes
+
+
+@pytest.mark.slow
+def test_bounds_shrink_on_the_chain():
+    """With eight times the samples by about the root of eight."""
+    made = job(load(PLANE).config)
+    outcomes = ("Ssk", "Sku", "force", "mean_removal")
+    few, many = (
+        variance_shares(made.process, made.setup, made.between, outcomes, samples=n)
+        for n in (64, 512)
+    )
+    for one, other in ((few.first_between, many.first_between),
+                       (few.total_between, many.total_between)):  # fmt: skip
+        wide, narrow = (np.diff(x, axis=0)[0].mean(axis=1) for x in (one, other))
+        print(f"widths {wide}, then {narrow}")
+        assert (narrow < 0.75 * wide).all()
+    for first, total in zip(many.first, many.total, strict=True):
+        assert (first <= total + 0.05).all()
 
 
 @pytest.mark.parametrize("samples", [0, 1, 100])
