@@ -1,0 +1,409 @@
+"""Placement: where the part stands, as something to set and to tune."""
+
+import dataclasses
+import functools
+import json
+import math
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import assert_close
+from polishopt import postprocess
+from polishopt.blocks import cut
+from polishopt.files import library
+from polishopt.files.assemble import job, machine as assembled, plan_job
+from polishopt.files.config import ConfigError, describe, load, optimum
+from polishopt.files.given import Machine as Section
+from polishopt.files.ncode import DIALECTS
+from polishopt.fit import fit
+from polishopt.machine import forward, inverse
+from polishopt.machine.kinematics import placed
+from polishopt.mechanics import mechanics
+from polishopt.optimize.goals import setting
+from polishopt.optimize.sensitivity import sensitivities
+from polishopt.parts import Process
+from polishopt.path.toolpath import posture, resolved
+from polishopt.resolved import run, samples
+from polishopt.results import INNER_UNITS
+from polishopt.setup import Sampling
+from scipy.spatial.transform import Rotation
+
+
+ROOT = Path(__file__).parent.parent
+CAP = ROOT / "configs" / "pessoles2009_convex.yaml"
+PLANE = ROOT / "configs" / "pessoles2009_plane.yaml"
+PLAN = ROOT / "configs" / "pessoles2009_plan.yaml"
+WEDGED = Path(__file__).parent / "jobs" / "wedged_cap.yaml"
+DEG = math.pi / 180
+MOVES = ("shift_x", "shift_y", "shift_z", "wedge_x", "wedge_y", "wedge_z")
+# one corner of the guide, few loops, and the pole in the middle of the part
+SMALL = ["guide.order=1", "process.step_mm=3"]
+COARSE = Sampling(stations=2, phases=8, rows=2, columns=2, pixels=(8, 8))
+SETTLED = Process(0.05, 0.4, 3.0, 6.0, 1000 / 60, 209.4)
+
+
+@functools.cache
+def small(path, *more):
+    """A small job of a config, sampled coarsely."""
+    made = job(load(path, [*SMALL, *more]).config)
+    return made.process, dataclasses.replace(made.setup, sampling=COARSE)
+
+
+def moved(process, values):
+    return dataclasses.replace(process, **dict(zip(MOVES, values, strict=True)))
+
+
+@eqx.filter_jit
+def duration(process, setup):
+    return mechanics(process, setup).time
+
+
+@eqx.filter_jit
+def slopes(x, around, process, setup):
+    """Time by the six moves, forwards and backwards, and its values at points around."""
+
+    def time(x):
+        return mechanics(moved(process, x), setup).time
+
+    return jax.jacfwd(time)(x), jax.jacrev(time)(x), jax.lax.map(time, around)
+
+
+def turned(wedge):
+    """Oracle: about the fixed X, then Y, then Z."""
+    return Rotation.from_euler("xyz", np.asarray(wedge)).as_matrix()
+
+
+@functools.cache
+def bare(name):
+    """A preset whose part stands straight and at its zero, and one whose part does not."""
+    given = {"preset": name, **library.preset("machines", name)}
+    straight = assembled(Section.model_validate(given))
+    placement = {"offset_mm": [5, -7, 11], "wedge_deg": [3, -5, 10]}
+    return straight, assembled(Section.model_validate(given | {"placement": placement}))
+
+
+@pytest.mark.parametrize("name", library.names("machines"))
+def test_a_moved_part_is_run_as_its_moved_poses(name):
+    """Axes for a pose on a moved part are those for the moved pose on one that stands."""
+    straight, aside = bare(name)
+    process = moved(SETTLED, (20.0, -3.0, 4.0, 0.05, -0.1, 0.2))
+    offset = np.array([25.0, -10.0, 15.0])
+    turn = turned([3 * DEG + 0.05, -5 * DEG - 0.1, 10 * DEG + 0.2])
+    machine = placed(aside, process)
+    tip, axis = np.array([10.0, 20.0, -2.0]), np.array([0.1, -0.05, 1.0])
+    axis /= np.linalg.norm(axis)
+    found = inverse(jnp.asarray(tip), jnp.asarray(axis), machine)
+    there = turn @ tip + offset
+    assert_close(found, inverse(jnp.asarray(there), jnp.asarray(turn @ axis), straight))
+    back = forward(found, machine)
+    assert_close(back[0], tip, atol=1e-9)
+    assert_close(back[1], axis, atol=1e-12)
+    # what is not set does not move, alone or beside what is
+    assert placed(aside, SETTLED) is aside
+    along = placed(aside, dataclasses.replace(SETTLED, shift_y=2.0))
+    assert_close(along.offset, [5, -5, 11])
+    assert along.wedge is aside.wedge
+
+
+def test_process_and_machine_move_the_part_alike():
+    """The same sum of offsets and angles, whoever adds; and zeros are no move at all."""
+    process, setup = small(CAP)
+    placement = ["machine.placement.offset_mm=[30, -10, 5]"]
+    placement += ["machine.placement.wedge_deg=[2, 12, -4]"]
+    other, aside = small(CAP, *placement)
+    assert not other.wedged
+    values = (30.0, -10.0, 5.0, 2 * DEG, 12 * DEG, -4 * DEG)
+    same = duration(moved(process, values), setup)
+    assert_close(same, duration(other, aside), rtol=1e-9)
+    straight = duration(process, setup)
+    assert_close(duration(moved(process, np.zeros(6)), setup), straight, rtol=1e-12)
+    # and it matters: past the pole C turns round, and far off it X and Y must follow it
+    assert abs(float(same / straight) - 1) > 0.01
+
+
+def test_a_wedge_keeps_the_tool_off_the_pole():
+    """Off the pole there is nothing that C could be too slow for."""
+    process, setup = small(WEDGED, "process.wedge_y_deg=0")
+    level, aslant = (
+        float(duration(moved(process, (0, 0, 0, 0, y * DEG, 0)), setup)) for y in (0, 25)
+    )
+    fast = dataclasses.replace(
+        setup,
+        machine=eqx.tree_at(
+            lambda m: (m.max_speed, m.max_acceleration, m.max_jerk),
+            setup.machine,
+            (jnp.full(5, 1e9),) * 3,
+        ),
+    )
+    least = float(duration(moved(process, np.zeros(6)), fast))
+    assert level > 1.03 * least
+    assert least <= aslant < least + 0.3 * (level - least)
+
+
+# shifts and wedges with the pole on the part, and with it far away
+PLACES = {
+    "near the pole": (12.0, -8.0, 3.0, 2 * DEG, 3 * DEG, -4 * DEG),
+    "off the pole": (40.0, 25.0, -20.0, 15 * DEG, -20 * DEG, 30 * DEG),
+}
+SIZES = np.array([10.0, 10.0, 10.0, 0.1, 0.1, 0.1])
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_gradients_of_time(place):
+    """Forward = reverse = central differences."""
+    process, setup = small(CAP)
+    x = np.asarray(PLACES[place])
+    steps = np.diag(1e-6 * SIZES)
+    around = jnp.asarray(np.concatenate([x + steps, x - steps]))
+    ahead, back, values = slopes(jnp.asarray(x), around, process, setup)
+    above, below = np.split(np.asarray(values), 2)
+    ahead = np.asarray(ahead) * SIZES
+    largest = np.abs(ahead).max()
+    assert largest > 1e-3 * values[0]
+    assert_close(back * SIZES, ahead, rtol=0, atol=1e-9 * largest)
+    assert_close((above - below) / 2e-6, ahead, rtol=0, atol=1e-5 * largest)
+
+
+def onto_the_pole(axis):
+    """Wedges about X and Y that turn a tool axis of the part to where C points."""
+    x, y, z = (float(c) for c in axis)
+    return math.atan2(y, z), math.atan2(-x, math.hypot(y, z))
+
+
+def test_gradients_are_finite_with_the_tool_at_the_pole():
+    """One node of the averaged path lies on the pole to rounding."""
+    process, setup = small(CAP)
+    s, _ = setup.guide.stations(setup.sampling.stations)
+    at = posture(
+        setup.surface,
+        setup.guide(s[3]),
+        jnp.zeros(()),
+        process,
+        setup.tool.radius,
+        setup.pulling,
+        setup.lean,
+    )
+    a, b = onto_the_pole(at.axis)
+    machine = placed(setup.machine, moved(process, (0, 0, 0, a, b, 0)))
+    assert_close(forward(jnp.zeros(5), machine)[1], at.axis, atol=1e-15)
+    x = jnp.asarray([0, 0, 0, a, b, 0.0])
+    around = jnp.tile(x, (12, 1)).at[:, 3].add(jnp.linspace(-1e-9, 1e-9, 12))
+    ahead, back, values = slopes(x, around, process, setup)
+    assert np.isfinite(values).all()
+    assert_close(ahead, back, rtol=1e-6, atol=1e-6)
+
+
+def test_a_plane_on_a_wedge_may_pass_the_pole():
+    """As steep as the tool leans, the wedge takes whole lines of the guide to the pole."""
+    process, setup = small(PLANE, "process.tilt_deg=5", "guide.corner=smooth")
+    assert setup.flat
+    wedges = DEG * jnp.asarray([4.9, 5 - 1e-9, 5, 5 + 1e-9, 5.1, -5, 0, 15])
+    around = jnp.zeros((12, 6)).at[:8, 4].set(wedges)
+    ahead, back, values = slopes(around[2], around, process, setup)
+    assert_close(ahead, back, rtol=1e-6, atol=1e-6)
+    values = np.asarray(values)
+    assert np.isfinite(values).all()
+    level = float(duration(process, setup))
+    # nothing jumps there, and without a wedge, or far from the pole, nothing is lost
+    assert_close(values[[1, 3]], values[2], rtol=1e-4)
+    assert_close(values[[0, 4]], values[2], rtol=0.05)
+    assert_close(values[[6, 7]], level, rtol=2e-3)
+    assert values[2] > values[7]
+
+
+def test_what_is_not_set_is_not_there():
+    """Compiled programs, and lists of settings, are as they were without the six."""
+    process, setup = small(PLANE)
+    assert len(jax.tree.leaves(process)) == 7
+    assert not process.wedged
+    assert float(setting(process, (), "wedge_y")) == 0
+    # a plane whose machine says that it stands aslant is as one on a wedge of the process
+    turned, _ = small(PLANE, "machine.placement.wedge_deg=[0, 5, 0]")
+    assert turned.wedged
+    assert float(setting(turned, (), "wedge_x")) == 0
+    told = describe(load(CAP, SMALL))
+    assert "wedge" not in told
+    assert "shift" not in told
+    told = describe(load(CAP, [*SMALL, "process.wedge_y_deg={start: 1, between: [0, 9]}"]))
+    assert "wedge y" in told
+    assert "tuned in [0, 9] °, from 1" in told
+
+
+MOVED = [
+    "machine.placement.offset_mm=[10, 0, 0]",
+    "machine.placement.wedge_deg=[0, 0, 30]",
+    "process.shift_x_mm=20",
+    "process.wedge_y_deg=8",
+]
+
+
+@pytest.fixture(scope="module")
+def made():
+    """Config, job and path of a small part that was moved."""
+    config = load(CAP, [*SMALL, *MOVED]).config
+    one = job(config, first=False)
+    count = samples(one.process, one.setup)
+    path = eqx.filter_jit(run)(one.process, one.setup, count, jerk=False)
+    return config, one, path
+
+
+def test_a_program_moves_the_axes_and_not_the_tool_on_the_part(made):
+    config, one, path = made
+    setup, process = one.setup, one.process
+    found = postprocess.programs(path, process, setup, config)
+    assert not found.prevented
+    blocks = cut(path, process, setup, config.program.chord_tolerance_mm)
+    # on the part: the posture that no machine knows of
+    at = resolved(
+        setup.surface, setup.guide, process, setup.tool.radius, jnp.asarray(blocks.s)
+    )
+    assert_close(blocks.poses.tip, at.tip, atol=1e-9)
+    assert_close(blocks.poses.axis, at.axis, atol=1e-12)
+    # on the machine: the moved poses, by a machine whose part stands at its zero
+    straight, _ = bare("mikron_ucp710")
+    turn = turned([0, 8 * DEG, 30 * DEG])
+    tips = np.asarray(at.tip) @ turn.T + np.array([30.0, 0, 0])
+    ways = np.asarray(at.axis) @ turn.T
+    want = jax.jit(jax.vmap(lambda t, u: inverse(t, u, straight)))(tips, ways)
+    gap = blocks.poses.axes - np.asarray(want)
+    gap[:, 4] -= 2 * math.pi * np.round(gap[:, 4] / (2 * math.pi))
+    assert_close(gap, 0.0, atol=1e-8)
+    # and what is read back is what was written
+    table = DIALECTS["csv"].read(next(t for n, t in found.texts.items() if "csv" in n))
+    assert_close(table.tip[1:-1], np.round(blocks.poses.tip, 4), atol=1e-9)
+    assert_close(table.linear[1:-1], np.round(blocks.poses.axes[:, :3], 4), atol=1e-9)
+
+
+def test_a_program_says_where_the_part_has_to_stand(made):
+    config, one, path = made
+    found = postprocess.programs(path, one.process, one.setup, config)
+    assert len(found.texts) == len(DIALECTS)
+    for text in found.texts.values():
+        told = text.lower()
+        assert "part offset: x 30.0000 y 0.0000 z 0.0000 mm" in told
+        assert "offset counts: from the pivot of c, all axes at 0" in told
+        assert "part wedge: x 0.0000 y 8.0000 z 30.0000 deg" in told
+        assert "wedge turns: about x, then y, then z" in told
+        assert "shift x: 20 mm" in told
+        assert "shift y" not in told
+
+
+def test_the_preflight_looks_at_the_moved_part(made):
+    """A travel that holds the moved part does not hold it moved on by more than is left."""
+    config, one, path = made
+    asked = config.program.model_copy(update={"dialects": ()})
+    left = 2.0
+    room = np.full(5, np.inf)
+    room[0] = np.abs(np.asarray(path.axes)[:, 0]).max() + left
+    tight = eqx.tree_at(
+        lambda s: (s.machine.lower, s.machine.upper),
+        one.setup,
+        (jnp.asarray(-room), jnp.asarray(room)),
+    )
+    seen = postprocess.seen(path, one.process, tight, asked)
+    assert not any(finding.prevents for finding in seen.findings)
+    # C turns half round and more, so that X is somewhere as far out as the shift
+    further = dataclasses.replace(one.process, shift_x=one.process.shift_x + 10 * left)
+    count = path.s.shape[0]
+    off = eqx.filter_jit(run)(further, one.setup, count, jerk=False)
+    (finding,) = postprocess.seen(off, further, tight, asked).findings
+    assert finding.prevents
+    assert finding.sentence.startswith("X would have to reach ")
+
+
+BAD = {
+    "process.wedge_y_deg=60": "process.wedge_y_deg is 60, must lie in [-45, 45] °",
+    "process.shift_x_mm={start: 1, between: [-2e4, 0]}": (
+        "process.shift_x_mm.between[0] is -20000, must lie in [-1e4, 1e4] mm"
+    ),
+    "process.wedge_x_deg={start: 5, between: [3, 1]}": (
+        "process.wedge_x_deg.between is [3, 1], must have the lower end first"
+    ),
+    "process.shift_z_mm=1 cm": "process.shift_z_mm is '1 cm', must be a number",
+    "process.wedge_y_rad=1": "unknown key 'wedge_y_rad'; use 'wedge_y_deg', in °",
+}
+
+
+@pytest.mark.parametrize(("typed", "sentence"), BAD.items())
+def test_what_cannot_be_is_answered_in_a_sentence(typed, sentence):
+    with pytest.raises(ConfigError) as error:
+        load(CAP, [typed])
+    assert sentence in str(error.value)
+
+
+def test_units_and_bounds_are_those_of_the_keys():
+    made = job(
+        load(
+            CAP,
+            [
+                "process.wedge_y_deg={start: 5, between: [-10, 20]}",
+                "process.shift_z_mm={start: -4, between: [-60, 0]}",
+            ],
+        ).config
+    )
+    assert made.between["wedge_y"] == pytest.approx((-10 * DEG, 20 * DEG))
+    assert made.between["shift_z"] == (-60, 0)
+    assert_close(made.process.wedge_y, 5 * DEG)
+    assert_close(made.process.shift_z, -4)
+    assert made.process.shift_x is None
+
+
+def test_each_step_of_a_plan_has_a_place_of_its_own(tmp_path):
+    loaded = load(
+        PLAN,
+        [
+            "steps.0.process={wedge_y_deg: {start: 4, between: [0, 9]}}",
+            "steps.1.process={shift_x_mm: 7}",
+        ],
+    )
+    made = plan_job(loaded.steps)
+    first, second, third = made.processes[:3]
+    assert_close(first.wedge_y, 4 * DEG)
+    assert first.shift_x is None
+    assert_close(second.shift_x, 7)
+    assert second.wedge_y is None
+    assert len(jax.tree.leaves(third)) == 7
+    assert made.between["P120 wedge_y"] == pytest.approx((0, 9 * DEG))
+    # an answer goes back to where it was asked for
+    path = tmp_path / "optimum.yaml"
+    path.write_text(optimum(loaded, {"P120 wedge_y_deg": 6.25}, tmp_path))
+    again = plan_job(load(path).steps).processes
+    assert_close(again[0].wedge_y, 6.25 * DEG)
+    assert_close(again[1].shift_x, 7)
+
+
+def test_sensitivities_know_the_moves():
+    process, setup = small(CAP)
+    settings = ("shift_x", "wedge_y")
+    found = sensitivities(process, setup, ("time",), settings, mechanics)
+    x = jnp.zeros(6)
+    ahead, _, _ = slopes(x, jnp.zeros((12, 6)), process, setup)
+    assert_close(found.derivatives[0], ahead[np.array([0, 4])], rtol=1e-9)
+    assert [INNER_UNITS[name] for name in settings] == ["mm", "rad"]
+
+
+@pytest.mark.slow
+def test_a_free_wedge_is_worth_time(tmp_path):
+    """The tuned job never takes more time than the same one on a level table."""
+    free = load(WEDGED)
+    level = load(WEDGED, ["process.wedge_y_deg=0"])
+    times = {}
+    for name, loaded in (("free", free), ("level", level)):
+        target = tmp_path / name
+        target.mkdir()
+        assert fit(loaded, target, quiet=True) == 0
+        told = json.loads((target / "result.json").read_text())
+        times[name] = told["outcome"]["time"]
+        assert "wedge_y" in told["process"]
+        assert "shift_x" not in told["process"]
+        answer = load(target / "optimum.yaml").config
+        saved = job(answer).process.wedge_y
+        assert_close(saved, told["process"]["wedge_y"], rtol=1e-5, atol=1e-12)
+    assert times["free"] <= times["level"] * (1 + 1e-6)
+    head = (tmp_path / "free" / "sensitivity.csv").read_text()
+    assert ",wedge_y," in head
+    assert ",wedge_y," not in (tmp_path / "level" / "sensitivity.csv").read_text()
