@@ -297,6 +297,8 @@ def test_a_program_moves_the_axes_and_not_the_tool_on_the_part(made):
     assert_close(gap, 0.0, atol=1e-8)
     # and what is read back is what was written
     table = DIALECTS["csv"].read(next(t for n, t in found.texts.items() if "csv" in n))
+    assert table.tip is not None
+    assert table.linear is not None
     assert_close(table.tip[1:-1], np.round(blocks.poses.tip, 4), atol=1e-9)
     assert_close(table.linear[1:-1], np.round(blocks.poses.axes[:, :3], 4), atol=1e-9)
 
