@@ -148,7 +148,7 @@ def test_a_wedge_keeps_the_tool_off_the_pole():
         machine=eqx.tree_at(
             lambda m: (m.max_speed, m.max_acceleration, m.max_jerk),
             setup.machine,
-            (jnp.full(5, 1e9),) * 3,
+            (jnp.asarray(np.full(5, 1e9)),) * 3,
         ),
     )
     least = float(duration(moved(process, np.zeros(6)), fast))
