@@ -7,7 +7,7 @@ outcomes into contact, stretch of area, true feed, and the path.
 import sys
 from pathlib import Path
 
-from .session import BAD_INPUT, arguments, folder, prepare, read
+from .session import BAD_INPUT, arguments, folder, own_values, prepare, read
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -30,6 +30,9 @@ def main(argv: list[str] | None = None) -> int:
             file=sys.stderr,
         )
         return BAD_INPUT
+    if not given.quiet:
+        for one in loaded:
+            own_values(one)
     if given.check:
         return 0
     name = f"{given.config.stem}-{given.second.stem}"

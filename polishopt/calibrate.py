@@ -16,7 +16,7 @@ from .files.calibrated import Constant, calibrated, key_of
 from .files.config import Loaded, write_text
 from .files.document import ConfigError
 from .files.measurements import COLUMNS, Measurements, measurements
-from .session import BAD_INPUT, folder, prepare, read
+from .session import BAD_INPUT, folder, own_values, prepare, read
 from .units import from_internal, label, suffix
 
 
@@ -96,6 +96,8 @@ def main(argv: list[str] | None = None) -> int:
     loaded = read(given.config, given.overrides)
     if loaded is None:
         return BAD_INPUT
+    if not given.quiet:
+        own_values(loaded)
     try:
         table = measurements(given.data)
     except ConfigError as error:

@@ -12,8 +12,12 @@ from jaxtyping import Array, Float
 from .contact.removal import Grid, deposit
 from .parts import Scalar
 from .path.guide import Guide
-from .path.surface import Surface, area_stretch, jacobian
+from .path.surface import Plane, Surface, area_stretch, jacobian
 from .texture.filters import gaussian_filter
+
+
+# Pixels along either side, and pitches that the Gaussian is wide, in `uneven_coverage`.
+PIXELS, PITCHES = 96, 2.0
 
 
 def path_lengths(
@@ -67,3 +71,28 @@ def coverage(
     return gaussian_filter(length, spacing, cutoff) / gaussian_filter(
         stretch, spacing, cutoff
     )
+
+
+def uneven_coverage(surface: Surface, guide: Guide, size: Float[Array, "2"]) -> Scalar:
+    """How much the local coverage varies because the part is no plane [-].
+
+    Standard deviation over mean of what is left of the coverage when that of the same
+    guide on a plane is divided out, each length of path counting alike: lines, corners
+    and borders of the guide do not count, and on a plane it is zero.
+
+    Args:
+        surface: The part.
+        guide: The path, on the parameter plane.
+        size: Sides of the parameter plane [mm].
+
+    Source: Own derivation; C of S4 (Tam, Cheng et al. 2013), eq. (5), made local.
+    """
+    grid = Grid(jnp.zeros_like(size), size, (PIXELS, PIXELS))
+    cutoff = PITCHES * guide.pitch
+    flat = coverage(Plane(size), guide, grid, cutoff)
+    share = coverage(surface, guide, grid, cutoff) / jnp.where(flat > 0, flat, 1.0)
+    weight = flat / jnp.sum(flat)
+    mean = jnp.sum(weight * share)
+    square = jnp.sum(weight * (share - mean) ** 2) / mean**2
+    some = square > 0
+    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)

@@ -1,5 +1,7 @@
 """Fit: `python -m polishopt.fit config.yaml` tunes a polishing step and reports on it.
 
+Of a config with `choices` every combination is tuned, and the best one is the answer.
+
 Exit codes: 0 solved, 2 bad input, 3 the target cannot be met within the limits, 4 not
 converged, 130 interrupted. Results are written in all cases but bad input, so that a
 failure can be looked at. Finished searches are kept in `searches` as they end: `--resume`
@@ -33,15 +35,18 @@ def main(argv: list[str] | None = None) -> int:
         "Exit codes: 0 solved, 2 bad input, 3 infeasible, 4 not converged.",
     )
     resumable(parser)
-    asked = begin(parser, argv)
+    asked = begin(parser, argv, chooses=True)
     if isinstance(asked, int):
         return asked
+    from .choices import compare
     from .interruption import finished, interrupted
 
     work = fit_plan if asked.loaded.steps else fit
     store = finished(asked)
     try:
         with stoppable():
+            if asked.loaded.alternatives:
+                return compare(asked, store)
             return work(asked.loaded, asked.target, asked.given.quiet, store)
     except KeyboardInterrupt:
         print(interrupted(asked, store), file=sys.stderr)
@@ -59,16 +64,14 @@ def fit(
         quiet: Whether to print nothing.
         store: Finished searches, which are not run again; new ones are added.
     """
-    from . import relax, report
-    from .basin_report import basin_table, left_over
+    from . import report
     from .chain import polish
     from .files.assemble import job as assemble
-    from .optimize.basins import basins
     from .optimize.tune import tune
     from .postprocess import stuck
     from .stored import stored
 
-    told, console, say = opening(loaded, quiet)
+    voice = told, _, say = opening(loaded, quiet)
     preload("scipy.stats", "polishopt.plots", "xarray", "h5netcdf")
     job = assemble(loaded.config)
     solver = loaded.config.solver
@@ -91,25 +94,9 @@ def fit(
             progress=say,
             store=store,
         )
-    from . import results
+    from .answer import of_step
 
-    with told.status("drawing"):
-        spread = results.spread_of(tuning.process, job)
-        scatter, programs = results.write(tuning, job, loaded, target, say, spread)
-        if relax.missed(tuning):
-            relax.draw_reach(tuning, job, target)
-    say(f"results are in {target}")
-    found = basins(tuning, job.between)
-    if found:
-        console.print(basin_table(found, tuning, loaded))
-    if rest := left_over(found, tuning):
-        console.print(rest)
-    report.show(console, tuning, job, loaded, scatter, spread, programs)
-    if to_relax := relax.relax_table(tuning, job, loaded):
-        console.print(to_relax)
-    if relax.missed(tuning):
-        console.print(relax.pointer(loaded, target), markup=False, highlight=False)
-    return int(report.ended(tuning, programs))
+    return of_step(tuning, job, loaded, target, voice)
 
 
 def fit_plan(
@@ -123,19 +110,17 @@ def fit_plan(
         quiet: Whether to print nothing.
         store: Finished searches, which are not run again; new ones are added.
     """
-    from . import plan_report, relax
     from .files.assemble import plan_job
     from .optimize.tune import tune
-    from .optimize.uncertainty import plan_spread
     from .plan import follow
-    from .postprocess import deliver, paths, stuck
+    from .postprocess import stuck
     from .stored import stored
 
-    told, console, say = opening(loaded, quiet)
+    voice = told, _, say = opening(loaded, quiet)
     job = plan_job(loaded.steps)
     tuning, solver = None, loaded.config.solver
-    configs = [config for _, config in loaded.steps]
-    if hindered := stuck(list(zip(job.processes, job.plan.setups, configs, strict=True))):
+    begun = list(zip(job.processes, job.plan.setups, loaded.configs, strict=True))
+    if hindered := stuck(begun):
         return _cannot(hindered)
     if job.between:
         with told.status("searching"):
@@ -156,22 +141,9 @@ def fit_plan(
     else:
         with told.status(f"following {len(loaded.steps)} steps"):
             outcome = stored(follow)(job.processes, job.plan)
-    settings = job.processes if tuning is None else tuning.process
-    spreads = ()
-    if any(job.errors):
-        with told.status("carrying the errors of the constants"):
-            spreads = plan_spread(settings, job.plan)
-    with told.status("running the path of every step"):
-        made = paths(list(zip(settings, job.plan.setups, configs, strict=True)))
-        deliver(made, target / "program")
-    with told.status("writing"):
-        plan_report.write(target, job, outcome, loaded, tuning, spreads, made)
-    say(f"results are in {target}")
-    plan_report.show(console, job, outcome, loaded, tuning, spreads, made)
-    if tuning is not None and relax.missed(tuning):
-        text = relax.pointer(loaded, target, drawn=False)
-        console.print(text, markup=False, highlight=False)
-    return plan_report.verdict(job, outcome, tuning, made)[0]
+    from .answer import of_plan
+
+    return of_plan(tuning, outcome, job, loaded, target, voice)
 
 
 def _cannot(sentences: list[str]) -> int:

@@ -240,6 +240,7 @@ def write(
             "verdict": Verdict(code).name.lower(),
             "sentence": sentence,
             "units": "mm, N, s, rad, MPa",
+            **({"choice": loaded.chosen} if loaded.chosen else {}),
             "answers": found,
             "steps": {
                 name: {

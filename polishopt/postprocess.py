@@ -16,6 +16,7 @@ from pathlib import Path
 import equinox as eqx
 import numpy as np
 
+from . import evenness
 from .blocks import Blocks, cut, poses_of
 from .files.assemble import NAMES
 from .files.ncode import DIALECTS, Header, Motion, Printed
@@ -76,7 +77,7 @@ def seen(path: Run, process: Process, setup: Setup, asked: Program) -> Seen:
     blocked = obstacles(path, machine)
     if blocked:
         return Seen(blocked)
-    findings = remarks(path, process, machine)
+    findings = remarks(path, process, machine) + evenness.remarks(process, setup)
     if not asked.dialects:
         return Seen(findings)
     blocks = cut(path, process, setup, given["chord_tolerance"])

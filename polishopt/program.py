@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from .files.config import Loaded
-from .session import BAD_INPUT, arguments, folder, prepare, read
+from .session import BAD_INPUT, arguments, folder, own_values, prepare, read
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -27,6 +27,8 @@ def main(argv: list[str] | None = None) -> int:
     loaded = read(given.config, given.overrides)
     if loaded is None:
         return BAD_INPUT
+    if not given.quiet:
+        own_values(loaded)
     target = given.output or Path("runs") / given.config.stem
     if not given.check and not folder(target):
         return BAD_INPUT

@@ -16,6 +16,7 @@ from .files.config import Loaded
 from .front_plot import aims, region_figure
 from .interruption import keys
 from .optimize.certificate import Status
+from .optimize.choices import distance
 from .optimize.explore import Explorer
 from .optimize.tune import Tuning, Verdict
 from .plots import save
@@ -51,11 +52,6 @@ def missed(tuning: Tuning) -> bool:
     """Whether the limits hold, and the target is out of reach."""
     status = int(tuning.statuses[tuning.best])
     return int(tuning.verdict) == Verdict.INFEASIBLE and status != Status.INFEASIBLE
-
-
-def distance(tuning: Tuning) -> float:
-    """Root of the sum of squared misses [tolerances]."""
-    return float(np.sqrt(sum(float(miss) ** 2 for miss in tuning.misses.values())))
 
 
 def relaxations(tuning: Tuning, job: Job, loaded: Loaded) -> list[Relaxation]:
@@ -139,8 +135,9 @@ def pointer(loaded: Loaded, target: Path, drawn: bool = True) -> str:
         target: The folder.
         drawn: Whether `region.png` is there.
     """
+    path = target / "optimum.yaml" if loaded.chosen else loaded.path
     seen = f"{target / 'region.png'} shows what can be reached. " if drawn else ""
     return (
         f"{seen}The edge of what can be reached, and what each step nearer to the target "
-        f"costs: python -m polishopt.front {loaded.path} -o {target}"
+        f"costs: python -m polishopt.front {path} -o {target}"
     )

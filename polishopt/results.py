@@ -223,6 +223,7 @@ def numbers(
             "verdict": report.ended(tuning, programs).name.lower(),
             "sentence": report.verdict(tuning, programs),
             "units": "mm, N, s, rad, MPa",
+            **({"choice": loaded.chosen} if loaded.chosen else {}),
             "answers": report.answers(tuning, loaded),
             "process": {k: v for k, v in vars(tuning.process).items() if v is not None},
             "target": {k: vars(goal) for k, goal in job.target.items()},

@@ -13,15 +13,18 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 from .files.config import ConfigError, Loaded, describe, load
 from .files.schema import StepConfig
 
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -96,12 +99,15 @@ class Asked(NamedTuple):
     """Folder for the results; exists."""
 
 
-def begin(parser: argparse.ArgumentParser, argv: list[str] | None) -> Asked | int:
+def begin(
+    parser: argparse.ArgumentParser, argv: list[str] | None, chooses: bool = False
+) -> Asked | int:
     """Reads arguments and config, makes the folder, and loads JAX.
 
     Args:
         parser: From `arguments`.
         argv: The arguments; None for those of the command line.
+        chooses: Whether the command looks at the choices of a config.
 
     Returns:
         What to do; or the exit code, where that was all: a mistake, told, or a check.
@@ -115,21 +121,45 @@ def begin(parser: argparse.ArgumentParser, argv: list[str] | None) -> Asked | in
             print(describe(loaded))
         return 0
     target = given.output or Path("runs") / given.config.stem
-    steps = loaded.steps or (("", loaded.config),)
-    made = [(name, config) for name, config in steps if only_shows_when_made(config)]
-    if made:
+    jobs = loaded.alternatives if chooses and loaded.alternatives else (loaded,)
+    if any(only_shows_when_made(config) for job in jobs for config in job.configs):
         prepare(not given.no_cache)
-        from .files.assemble import geometry
-
-        for name, config in made:
-            if wrong := geometry(config):
-                where = f", step {name}" if name else ""
-                print(f"{given.config}{where}: {wrong}", file=sys.stderr)
-                return BAD_INPUT
+        if wrong := ill_made(jobs):
+            print(wrong, file=sys.stderr)
+            return BAD_INPUT
+    if not chooses and not given.quiet:
+        own_values(loaded)
     if not folder(target):
         return BAD_INPUT
     prepare(not given.no_cache)
     return Asked(given, loaded, target)
+
+
+def own_values(loaded: Loaded) -> None:
+    """Says that a command takes no notice of the choices of a config, if it has any."""
+    if loaded.alternatives:
+        print(
+            f"{loaded.path}: polishopt.fit compares the choices; this is about the "
+            "config's own values",
+            file=sys.stderr,
+        )
+
+
+def ill_made(jobs: Sequence[Loaded]) -> str:
+    """What is wrong with a part or a guide that only shows when it is made, or ''.
+
+    Args:
+        jobs: Configs that passed all other checks.
+    """
+    from .files.assemble import geometry
+
+    for job in jobs:
+        steps = [f", step {name}" for name, _ in job.steps] or [""]
+        for step, config in zip(steps, job.configs, strict=True):
+            if only_shows_when_made(config) and (wrong := geometry(config)):
+                ending = f"; with {job.name}" if job.chosen else ""
+                return f"{job.path}{step}: {wrong}{ending}"
+    return ""
 
 
 def only_shows_when_made(config: StepConfig) -> bool:
@@ -138,28 +168,37 @@ def only_shows_when_made(config: StepConfig) -> bool:
     return shaped or config.guide.family != "hilbert" or config.guide.even
 
 
-def opening(loaded: Loaded, quiet: bool):
-    """Where progress goes, where the answer goes, and how to say what is going on.
+class Voice(NamedTuple):
+    """How a command says things."""
+
+    told: "Console"
+    """Where progress goes."""
+    console: "Console"
+    """Where the answer goes."""
+    say: Callable[[str], None]
+    """Says a sentence with the time it is."""
+
+
+def opening(loaded: Loaded, quiet: bool) -> Voice:
+    """How to say what is going on, which begins here.
 
     Args:
         loaded: The config.
         quiet: Whether to say nothing.
-
-    Returns:
-        Two consoles, and a function that says a sentence with the time it is.
     """
     from rich.console import Console
+    from rich.markup import escape
 
     told, console = Console(stderr=True, quiet=quiet), Console(quiet=quiet)
     began = time.monotonic()
 
     def say(sentence: str) -> None:
-        told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {sentence}")
+        told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {escape(sentence)}")
 
     say(f"reading {loaded.path}")
     if loaded.measured:
         say(f"starting from {loaded.measured}")
-    return told, console, say
+    return Voice(told, console, say)
 
 
 def leave(code: int) -> NoReturn:

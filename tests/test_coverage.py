@@ -1,16 +1,23 @@
 """Coverage: closed forms on planes and caps, and what even sheets do to it."""
 
+import re
+from pathlib import Path
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close
 from polishopt.contact.removal import Grid
-from polishopt.coverage import coverage, path_lengths
+from polishopt.coverage import coverage, path_lengths, uneven_coverage
+from polishopt.evenness import remarks
+from polishopt.files.assemble import job
+from polishopt.files.config import load
 from polishopt.path import Asphere, Plane, SphereCap, lines, peano
 from polishopt.path.even import reparametrised
 
 
+CONFIGS = Path(__file__).parent.parent / "configs"
 SIZE = (60.0, 60.0)
 GRID = Grid(jnp.zeros(2), jnp.asarray(SIZE), (60, 60))
 INNER = slice(12, 48)
@@ -54,3 +61,45 @@ def test_an_even_sheet_is_covered_evenly():
         varies.append(found.std() / found.mean())
     assert varies[0] > 0.015
     assert varies[1] < 0.2 * varies[0], varies
+
+
+def test_unevenness_on_a_cap_and_on_a_plane():
+    """The closed form for lines, weighed alike all over; borders of the guide count out."""
+    radius, size = 60.0, jnp.asarray(SIZE)
+    guide = lines(30, SIZE, "sharp")
+    uneven = eqx.filter_jit(uneven_coverage)
+    found = uneven(SphereCap(size, radius), guide, size)
+    x, y = np.meshgrid(*(2 * (0.5 + np.arange(200)) * 60 / 400 - 30 for _ in "xy"))
+    z = np.sqrt(radius**2 - x**2 - y**2)
+    want = np.hypot(1, x / z) * z / radius
+    assert_close(found, want.std() / want.mean(), rtol=0.03)
+    assert float(uneven(PLANE, guide, size)) < 1e-12
+
+
+def said(path, *changes):
+    given = job(load(path, changes).config)
+    return [one.sentence for one in remarks(given.process, given.setup)]
+
+
+def test_a_report_tells_what_an_even_sheet_does():
+    """On a steep cap; and nothing of a plane."""
+    convex = CONFIGS / "pessoles2009_convex.yaml"
+    covers = said(convex, "part.radius_mm=45", "guide.even=true")[0]
+    used, given = map(float, re.findall(r"([\d.]+) %", covers))
+    assert used < 0.5 * given
+    covers = said(convex, "part.radius_mm=45")[0]
+    assert [float(x) for x in re.findall(r"([\d.]+) %", covers)] == [given]
+    assert "guide.even: true" in covers
+    assert said(CONFIGS / "pessoles2009_plane.yaml") == []
+
+
+@pytest.mark.slow
+def test_a_report_tells_what_following_the_curvature_does():
+    path = CONFIGS.parent / "tests" / "jobs" / "slender_insert.yaml"
+    presses = said(path, "guide.hold=force")[-1]
+    held, least, most = map(float, re.findall(r"([\d.]+)(?= to| N)", presses))
+    assert most / least > 1.05
+    assert least < held < most
+    presses = said(path)[-1]
+    assert f"{least:.4g} to {most:.4g} N" in presses
+    assert "guide.hold: force" in presses

@@ -180,6 +180,7 @@ def test_maps_carry_units(fitted):
         assert (np.diff(time) >= 0).all()
 
 
+@pytest.mark.slow
 def test_sensitivity_command_draws_again(tmp_path, cache):
     config = CONFIGS / "pessoles2009_plane.yaml"
     ran = command(

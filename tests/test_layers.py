@@ -26,19 +26,20 @@ texture.planarisation texture.scratches texture.evolution texture.direction
 texture.local texture
 setup constants margin hold mechanics chain plan resolved
 coverage
-blocks preflight
+blocks preflight evenness
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.naming
 optimize.steering optimize.outer optimize.implicit optimize.adapted
 optimize.auglag optimize.goals optimize.uncertainty
-optimize.kept optimize.tune optimize.basins optimize.explore optimize.front
+optimize.kept optimize.tune optimize.choices optimize.basins optimize.explore optimize.front
 optimize.sensitivity optimize.variance
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize
 files
 postprocess plots feed_plot path_plots shares_plot report basin_report front_plot results
 plan_report session program
-interruption relax fit front sensitivity attribution
+interruption relax answer choice_report choice_plot choices
+fit front sensitivity attribution
 measure
 calibrate
 texture.__main__

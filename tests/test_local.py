@@ -139,6 +139,7 @@ def test_gradients_of_maps_are_finite_in_every_corner():
                 assert all(np.isfinite(a).all() for a in jax.tree.leaves(got))
 
 
+@pytest.mark.slow
 def test_maps_in_single_precision():
     h, p = S([[0.0, 1e-5, 3e-5]]), S([[0.05, 0.04, 0.05]])
     given = start_map(8), SPACING, ABRASIVE, h, p

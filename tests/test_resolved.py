@@ -174,6 +174,7 @@ def rms_over_phases(process, setup, grid, count, rows, columns):
     return jnp.sqrt(jnp.mean(jnp.var(maps, axis=0)))
 
 
+@pytest.mark.slow
 def test_ripple_on_the_plane_part_is_as_predicted():
     """S0's disc on its Hilbert guide, where the corners make most of the ripple."""
     setup = disc().setup
@@ -208,8 +209,8 @@ def law_of(process, setup, count):
 @pytest.mark.parametrize(
     ("surface", "tilt", "jerk", "rtol"),
     [
-        ("plane", 3, 1.0, 0.01),
-        ("plane", 3, 0.005, 0.03),
+        pytest.param("plane", 3, 1.0, 0.01, marks=pytest.mark.slow),
+        pytest.param("plane", 3, 0.005, 0.03, marks=pytest.mark.slow),
         ("cap", 3, 1.0, 0.05),
         ("cap", 10, 1.0, 0.05),
         ("cap", 10, 0.005, 0.05),
@@ -240,7 +241,7 @@ look_closely = jax.jit(usage, static_argnames="path")
     ("surface", "tilt"),
     [
         ("cap", 3.0),
-        ("cap", 3.4),
+        pytest.param("cap", 3.4, marks=pytest.mark.slow),
         pytest.param("saddle", 4.0, marks=pytest.mark.slow),
         pytest.param("plane", 3.0, marks=pytest.mark.slow),
     ],

@@ -7,7 +7,7 @@ is allowed and its unit. Neither JAX nor NumPy is imported.
 import copy
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,6 +16,7 @@ from ruamel.yaml.comments import CommentedMap
 
 from ..units import label, suffix
 from .asked import Chance
+from .choices import combinations, named, title
 from .document import (
     ConfigError as ConfigError,
     Keys,
@@ -28,7 +29,7 @@ from .document import (
 )
 from .given import Lines, Nurbs, PointGrid, StepFace
 from .library import SHELVES, filled, names
-from .override import override
+from .override import CHOICES, override
 from .place import Located, problems_in
 from .point_grid import PointGridError, read_points
 from .quantity import Tuned, internal as internal
@@ -58,6 +59,21 @@ class Loaded:
     """What was measured as the start surface, and what is done to it."""
     steps: tuple[tuple[str, StepConfig], ...] = ()
     """Name and values of each step of a plan; empty for a step alone."""
+    alternatives: "tuple[Loaded, ...]" = ()
+    """The config with each combination of its choices, its own values first if they are
+    one; empty for a config without choices."""
+    chosen: Mapping[str, str] = field(default_factory=dict)
+    """In one of them, the alternatives by key, as tables show them."""
+
+    @property
+    def name(self) -> str:
+        """What a combination of choices is called: `guide.order 2, abrasive P600`."""
+        return title(self.chosen)
+
+    @property
+    def configs(self) -> tuple[StepConfig, ...]:
+        """The values of each step, or of the only one."""
+        return tuple(config for _, config in self.steps) or (self.config,)
 
 
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Loaded:
@@ -88,7 +104,43 @@ def check(text: str, path: Path, overrides: Sequence[str] = ()) -> Loaded:
     document = parse(text, str(path))
     origin = override(document, overrides)
     place = Located(str(path), text, survey(document, str(path)), origin)
+    made, wrong = combinations(document, place)
+    loaded, problems = whole(document, place, path)
+    if loaded is None or wrong:
+        raise ConfigError(unique([*problems, *wrong]))
+    alternatives, wrongs = [], {}
+    for one in made:
+        alternative, problems = whole(one.document, one.place, path, one.chosen)
+        if alternative is None:
+            wrongs[title(one.chosen)] = problems
+        elif not any(step.tuned() for step in alternative.configs):
+            sentence = "choices are compared by what tuning makes of them: nothing is tuned"
+            wrongs[title(one.chosen)] = [place.problem((CHOICES,), sentence, at_key=True)]
+        else:
+            alternatives.append(alternative)
+    if wrongs:
+        raise ConfigError(named(wrongs))
+    own = (loaded.config, loaded.steps)
+    alternatives.sort(key=lambda one: (one.config, one.steps) != own)
+    return replace(loaded, alternatives=tuple(alternatives))
+
+
+def whole(
+    document: CommentedMap,
+    place: Located,
+    path: Path,
+    chosen: Mapping[str, str] | None = None,
+) -> tuple[Loaded | None, list[Problem]]:
+    """A document as a config, or None and what is wrong with it; choices are not read.
+
+    Args:
+        document: Overrides written in.
+        place: Where everything was typed.
+        path: The file.
+        chosen: Which alternatives stand in the document.
+    """
     data, unknown = filled(place.found.data)
+    data.pop(CHOICES, None)
     name = root_file(data, "start", path.parent)
     root_file(data, "part", path.parent)
 
@@ -127,7 +179,7 @@ def check(text: str, path: Path, overrides: Sequence[str] = ()) -> Loaded:
         config, wrong = checked(Config, data, place, excused)
         problems += wrong
     if config is None:
-        raise ConfigError(unique(problems))
+        return None, problems
     measured = ""
     if config.start.file is not None:
         from .measured import TopographyError, sample  # brings NumPy along
@@ -152,8 +204,9 @@ def check(text: str, path: Path, overrides: Sequence[str] = ()) -> Loaded:
     if isinstance(part, StepFace):
         problems += step_problems(part, place)
     if problems:
-        raise ConfigError(unique(problems))
-    return Loaded(config, document, path, text, measured, tuple(steps))
+        return None, problems
+    loaded = Loaded(config, document, path, place.text, measured, tuple(steps))
+    return replace(loaded, chosen=chosen or {}), []
 
 
 Kind = TypeVar("Kind", bound=StepConfig)
@@ -302,7 +355,28 @@ def describe(loaded: Loaded) -> str:
         f"step {i + 1}, {name}\n{described(config, loaded.measured if i == 0 else '')}"
         for i, (name, config) in enumerate(loaded.steps)
     ]
-    return "\n\n".join(parts) or described(loaded.config, loaded.measured)
+    parts = parts or [described(loaded.config, loaded.measured)]
+    if loaded.alternatives:
+        parts.append(compared(loaded))
+    return "\n\n".join(parts)
+
+
+def compared(loaded: Loaded) -> str:
+    """The choices of a config in a sentence or two.
+
+    Args:
+        loaded: A checked config with choices.
+    """
+    words: dict[str, list[str]] = {}
+    for one in loaded.alternatives:
+        for key, word in one.chosen.items():
+            if word not in words.setdefault(key, []):
+                words[key].append(word)
+    listed = "; ".join(f"{key} {', '.join(found)}" for key, found in words.items())
+    return (
+        f"choices: {listed}\npolishopt.fit tunes all {len(loaded.alternatives)} "
+        "combinations, and all of them pass this check; above are the config's own values"
+    )
 
 
 def described(config: StepConfig, measured: str = "") -> str:

@@ -15,6 +15,10 @@ from .document import ConfigError, Keys, Problem, yaml
 from .library import SHELVES
 
 
+# section whose keys are paths themselves: `guide.order`
+CHOICES = "choices"
+
+
 def path_of(typed: str) -> list[str]:
     """The keys in `part.size_mm[0]`; `part.size_mm.0` means the same."""
     return re.sub(r"\[(\d+)\]", r".\1", typed).split(".")
@@ -56,6 +60,19 @@ def place_in(document: CommentedMap, path: Sequence[str], value: Any) -> tuple[K
     return tuple(keys), ""
 
 
+def chooses(document: CommentedMap, typed: str) -> list[str]:
+    """The key of the choices that a path means, as it stands there, if it does.
+
+    Args:
+        document: The whole config.
+        typed: `guide.order`; '' for all choices.
+    """
+    section = document.get(CHOICES)
+    known = section if isinstance(section, CommentedMap) else ()
+    same = [str(key) for key in known if path_of(str(key)) == path_of(typed)]
+    return [*same, typed][:1] if typed else []
+
+
 def shelved(keys: Sequence[str | int]) -> bool:
     """Whether a preset may be named here, at the top or in a step of a plan."""
     inner = keys[2:] if keys[0] == "steps" else keys
@@ -88,6 +105,8 @@ def override(document: CommentedMap, typed: Sequence[str]) -> dict[Keys, str]:
             reason = str(getattr(error, "problem", None) or error).partition("\n")[0]
             problems.append(Problem(shown, f"the value is not valid YAML: {reason}"))
             continue
+        if path[0] == CHOICES:
+            path = [CHOICES, *chooses(document, name.strip().removeprefix(CHOICES)[1:])]
         keys, wrong = place_in(document, path, value)
         if wrong:
             problems.append(Problem(shown, wrong))

@@ -1,7 +1,7 @@
 """Place: what is wrong with a config, and where in the file it was typed."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from pydantic import ValidationError
@@ -19,9 +19,22 @@ class Located:
     text: str
     found: Survey
     origin: dict[Keys, str]
+    chosen: Mapping[Keys, Keys] = field(default_factory=dict)
+    """Where the alternatives were typed that stand in place of the values under keys."""
 
     def problem(self, keys: Keys, sentence: str, at_key: bool = False) -> Problem:
         """A mistake under `keys`, or at the innermost section of them that was typed."""
+        ends = range(len(keys), 0, -1)
+        held = next((end for end in ends if keys[:end] in self.chosen), 0)
+        if held:
+            alternative = self.chosen[keys[:held]]
+            # a key that is wrong is so for all its alternatives
+            whole = at_key and held == len(keys)
+            keys = alternative[:-1] if whole else (*alternative, *keys[held:])
+        elif keys and keys not in self.found.values:
+            # a section that is there for an alternative alone
+            within = (to for at, to in self.chosen.items() if at[: len(keys)] == keys)
+            keys = next(within, (*keys, ...))[:-1]
         ends = range(len(keys), 0, -1)
         for end in ends:
             if keys[:end] in self.origin:

@@ -298,6 +298,12 @@ def json_schema() -> dict[str, Any]:
             "required": ["name"],
         },
     }
+    sections["choices"] = {
+        "description": "Alternatives by key, as guide.order: [2, 3]; each combination is "
+        "tuned, and the best one is the answer.",
+        "type": "object",
+        "additionalProperties": {"type": "array", "minItems": 1, "uniqueItems": True},
+    }
     alone = whole.pop("required")
     shared = ["schema", "part", "machine", "start", "steps"]
     single = {"required": alone, "not": {"required": ["steps"]}}

@@ -25,7 +25,7 @@ class StepPlace(Located):
         """A mistake under `keys` of this step."""
         own = ("steps", self.step, *keys)
         deep = 2 if keys[:1] and keys[0] in MERGED else 1
-        known = (*self.found.values, *self.found.keys, *self.origin)
+        known = (*self.found.values, *self.found.keys, *self.origin, *self.chosen)
         under = any(at[: 2 + deep] == own[: 2 + deep] for at in known)
         above = any(at[:deep] == keys[:deep] for at in known)
         # what a merged section as a whole lacks is lacking at the top already
@@ -93,6 +93,6 @@ def split(data: dict[str, Any], place: Located) -> tuple[list[Typed], list[Probl
             below = merged.get(key)
             both = key in MERGED and isinstance(value, dict) and isinstance(below, dict)
             merged[key] = {**below, **value} if both else value  # pyright: ignore[reportGeneralTypeIssues]
-        where = StepPlace(place.name, place.text, place.found, place.origin, step=i)
+        where = StepPlace(**vars(place), step=i)
         steps.append(Typed(name, merged, where, unknown))
     return steps, problems

@@ -21,6 +21,10 @@ from .certificate import Solution
 
 
 LETTERS = 12  # of each part of a name
+OUTDATED = (
+    "the finished searches are of another version of polishopt or of what it stands on, or "
+    "of another processor: all starts are searched again"
+)
 
 
 @runtime_checkable
@@ -51,7 +55,7 @@ class Kept:
         """
         self.store = store
         self.job = fingerprint(*job)[:LETTERS]
-        self.about = surroundings().hex()[:LETTERS]
+        self.about = about()
 
     def name(self, *batch: Any) -> str:
         """What a batch is called.
@@ -84,11 +88,23 @@ class Kept:
         if not found or [self.job, self.about] in found:
             return ""
         if any(job == self.job for job, *_ in found):
-            return (
-                "the finished searches are of another version of polishopt or of what it "
-                "stands on, or of another processor: all starts are searched again"
-            )
+            return OUTDATED
         return "the finished searches are of another config: all starts are searched again"
+
+
+def about() -> str:
+    """What searches of this version of the package are called, whatever their job."""
+    return surroundings().hex()[:LETTERS]
+
+
+def outdated(store: Store) -> str:
+    """Why nothing that is kept can be used, whatever the job; '' if some of it may be.
+
+    Args:
+        store: Where batches are, of several jobs.
+    """
+    found = {part for name in store for part in name.split("-")[1:2]}
+    return OUTDATED if found and about() not in found else ""
 
 
 def flat(solution: Solution) -> dict[str, np.ndarray]:

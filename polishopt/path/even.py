@@ -10,6 +10,8 @@ X and Y are kept as Chebyshev polynomials, because the machine's axes need deriv
 the surface up to the third.
 """
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -108,12 +110,25 @@ def _place(share: Scalar, below: Float[Array, " m"], rate: Float[Array, " n"]) -
     return near - miss / jax.lax.stop_gradient(_polynomials(near, rate.size) @ rate)
 
 
+@functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
 def _polynomials(x: Scalar, count: int) -> Float[Array, " count"]:
     """Chebyshev's polynomials up to the degree `count` - 1."""
     values = [jnp.ones_like(x), x]
     for _ in range(count - 2):
         values.append(2 * x * values[-1] - values[-2])
     return jnp.stack(values[:count])
+
+
+@_polynomials.defjvp
+def _polynomials_jvp(count, at, way):
+    """Their derivatives, which are sums of themselves."""
+    # differentiating the recurrence, up to three times as the axes need, would make most
+    # of a compiled program of it
+    values = _polynomials(*at, count)
+    slopes = np.zeros((count, count))
+    for k, unit in enumerate(np.eye(count)[1:], start=1):
+        slopes[k, :k] = np.polynomial.chebyshev.chebder(unit)[:k]
+    return values, (as_array(slopes).astype(values.dtype) @ values) * way[0]
 
 
 def unevenness(surface: Surface, size: Float[Array, "2"], places: int = 41) -> Scalar:
