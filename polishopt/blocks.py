@@ -21,6 +21,7 @@ import numpy as np
 
 from .machine.kinematics import (
     forward,
+    placed,
     pole_distance,
     positions,
     rotary,
@@ -95,7 +96,7 @@ def cut(path: Run, process: Process, setup: Setup, tolerance: float) -> Blocks:
         *(np.asarray(x) for x in (path.posture.tip, path.posture.axis, path.axes))
     )
     s, radius = np.asarray(path.s), float(setup.tool.radius)
-    machine = setup.machine
+    machine = placed(setup.machine, process)
     given = (setup.surface, setup.guide, process, setup.tool.radius, path.held)
     lean = (setup.pulling, setup.lean)
 

@@ -29,7 +29,7 @@ from .contact.removal import deposit, fraction_inside, preston_rates
 from .contact.ripple import Ripple, ripple
 from .hold import held_displacement, loop_bend
 from .machine.feed import Limits
-from .machine.kinematics import rotary
+from .machine.kinematics import placed, rotary
 from .machine.loop import axis_slopes, loop_rate, pole_pace
 from .margin import margin_deviations
 from .parts import Process, Scalar
@@ -141,7 +141,8 @@ def along(process: Process, setup: Setup) -> Stations:
     s, weight = setup.guide.stations(setup.sampling.stations)
     count, side = setup.sampling.phases, setup.side
     phases = jnp.asarray(2 * np.pi * np.arange(count) / count, dtype=s.dtype)
-    limits = Limits.of(setup.machine)
+    machine = placed(setup.machine, process)
+    limits = Limits.of(machine)
     if "feed" in setup.idealised:
         limits = jax.tree.map(lambda limit: jnp.full_like(limit, jnp.inf), limits)
     spacing = process.step / count
@@ -175,7 +176,7 @@ def along(process: Process, setup: Setup) -> Stations:
             way = place.contact
             if "stretch" in setup.idealised:
                 way = jnp.pad(place.xy, (0, 1))
-            angles, _ = rotary(place.axis, setup.machine)
+            angles, _ = rotary(place.axis, machine)
             return (way, place.axis, (place.tip, angles)), (place, angles)
 
         def moving(t):
@@ -186,11 +187,12 @@ def along(process: Process, setup: Setup) -> Stations:
             moving, (zero,), (one,), has_aux=True
         )
         pace = one
-        if not setup.flat:  # else the axis keeps its distance from the pole
+        # else the axis keeps its distance from the pole
+        if not setup.flat or process.wedged:
             _, aside = jax.jvp(lambda s: place_at(process, s, phase).axis, (s,), (one,))
             cell = jnp.stack([spacing * turning, weight * aside])
-            pace = pole_pace(place.axis, cell, setup.machine)
-        dq, ddq = axis_slopes((place.tip, angles), first, second, pace, setup.machine)
+            pace = pole_pace(place.axis, cell, machine)
+        dq, ddq = axis_slopes((place.tip, angles), first, second, pace, machine)
         return place, tangent, dq, ddq
 
     def touch(nodes, place, tangent, speed, dwell):

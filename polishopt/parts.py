@@ -24,8 +24,18 @@ def as_array(x) -> Array:
     return jnp.asarray(x, dtype=float)
 
 
+def scalar_or_none(x) -> Scalar | None:
+    """A number as by `as_scalar`; None stays None."""
+    return None if x is None else as_scalar(x)
+
+
 class Process(eqx.Module):
-    """What the process engineer sets, and what the optimiser moves."""
+    """What the process engineer sets, and what the optimiser moves.
+
+    The last six say how the part is moved from where it stands by its machine; see
+    `machine.kinematics.placed`. None is no move, and known before anything is compiled: a
+    process that does not touch them costs what it would cost without them.
+    """
 
     tilt: Scalar = eqx.field(converter=as_scalar)
     """Angle between tool axis and surface normal, theta [rad]."""
@@ -41,6 +51,24 @@ class Process(eqx.Module):
     """Spindle speed, N [rad/s]."""
     passes: Scalar = eqx.field(converter=as_scalar, default=1.0)
     """How often the whole path is run [-]."""
+    shift_x: Scalar | None = eqx.field(converter=scalar_or_none, default=None)
+    """How far the part is moved on what carries it, added to `Machine.offset` [mm]."""
+    shift_y: Scalar | None = eqx.field(converter=scalar_or_none, default=None)
+    """The same along Y [mm]."""
+    shift_z: Scalar | None = eqx.field(converter=scalar_or_none, default=None)
+    """The same along Z [mm]."""
+    wedge_x: Scalar | None = eqx.field(converter=scalar_or_none, default=None)
+    """How the part is turned about X, added to the first of `Machine.wedge` [rad]."""
+    wedge_y: Scalar | None = eqx.field(converter=scalar_or_none, default=None)
+    """The same about Y, the second [rad]."""
+    wedge_z: Scalar | None = eqx.field(converter=scalar_or_none, default=None)
+    """The same about Z, the third [rad]."""
+
+    @property
+    def wedged(self) -> bool:
+        """Whether a wedge is set, be it zero: then a plane may meet the pole as well."""
+        angles = (self.wedge_x, self.wedge_y, self.wedge_z)
+        return any(angle is not None for angle in angles)
 
 
 class Tool(eqx.Module):

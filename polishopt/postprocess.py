@@ -23,6 +23,7 @@ from .files.ncode import DIALECTS, Header, Motion, Printed
 from .files.programmed import Program
 from .files.quantity import internal
 from .files.schema import StepConfig
+from .machine.kinematics import placed, sides
 from .parts import Machine, Process
 from .preflight import Finding, beyond, obstacles, remarks
 from .resolved import Run, run, samples
@@ -72,7 +73,7 @@ def seen(path: Run, process: Process, setup: Setup, asked: Program) -> Seen:
         setup: Its job.
         asked: How programs are to be.
     """
-    machine, given = setup.machine, internal(asked)
+    machine, given = placed(setup.machine, process), internal(asked)
     blocked = obstacles(path, machine)
     if blocked:
         return Seen(blocked)
@@ -141,7 +142,8 @@ def stuck(jobs: Sequence[tuple[Process, Setup, StepConfig]]) -> list[str]:
         clamped = np.asarray(setup.machine.max_speed) == 0
         if clamped.any():
             path = stored(run)(process, setup, samples(process, setup))
-            found += [one.sentence for one in obstacles(path, setup.machine)]
+            machine = placed(setup.machine, process)
+            found += [one.sentence for one in obstacles(path, machine)]
     return found
 
 
@@ -292,10 +294,32 @@ def _notes(process: Process, setup: Setup, config: StepConfig, duration: float):
     yield "tool length", "to the middle of the disc's face"
     yield "abrasive", f"{abrasive.preset or 'own'}, grain {abrasive.grain_um:g} um"
     yield "machine", config.machine.preset or "own"
-    for key, _ in config.process:
+    yield from _standing(process, setup, config)
+    for key in config.process.given():
         unit = suffix(key)
         word = key.removesuffix(f"_{unit}") if unit else key
         value = from_internal(float(getattr(process, NAMES.get(word, word))), unit)
         yield word.replace("_", " "), f"{value:.6g} {label(unit)}".strip()
     yield "chord tolerance", f"{config.program.chord_tolerance_mm:g} mm"
     yield "time of a pass", f"{duration / 60:.2f} min"
+
+
+def _standing(process: Process, setup: Setup, config: StepConfig):
+    """How the part stands on what carries it; nothing where it was not moved."""
+    machine, places = placed(setup.machine, process), config.program.decimals
+    offset = np.asarray(machine.offset)
+    wedge = np.degrees(np.asarray(machine.wedge))
+    turned = [machine.names[axis] for axis in sides(machine)[0] if axis > 2]
+    pivot = f"the pivot of {turned[0]}" if turned else "the machine's origin"
+    told = (
+        (offset, "mm", "part offset", "offset counts", f"from {pivot}, all axes at 0"),
+        (wedge, "deg", "part wedge", "wedge turns", "about X, then Y, then Z"),
+    )
+    for values, unit, word, how, meaning in told:
+        if values.any():
+            sums = (
+                f"{way} {round(value, places) + 0.0:.{places}f}"
+                for way, value in zip("XYZ", values.tolist(), strict=True)
+            )
+            yield word, f"{' '.join(sums)} {unit}"
+            yield how, meaning

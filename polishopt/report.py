@@ -38,6 +38,8 @@ SYMBOLS = {
     "feed": "V_f",
     "spin": "N",
     "passes": "",
+    **{f"shift_{way}": f"Δ{way}" for way in "xyz"},
+    **{f"wedge_{way}": f"α_{way}" for way in "xyz"},
 }
 # name of a limit: unit in which it is shown
 LIMIT_UNITS = {
@@ -294,7 +296,7 @@ def attribution_table(split: Attribution, first: str, second: str) -> Table:
 def _settings(tuning: Tuning, loaded: Loaded) -> Table:
     table = empty_table("Settings", "", "symbol", "unit", "start", "answer", "bounds", "")
     found = answers(tuning, loaded)
-    for key, value in loaded.config.process:
+    for key, value in loaded.config.process.given().items():
         unit = suffix(key)
         word = key.removesuffix("_" + unit) if unit else key
         symbol = SYMBOLS[NAMES.get(word, word)]

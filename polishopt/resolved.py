@@ -20,7 +20,7 @@ from .machine.exact import exact_time_law
 from .machine.feed import TimeLaw, time_law
 from .machine.jerk import jerk_law
 from .machine.jerk_exact import exact_jerk_law
-from .machine.kinematics import inverse, inverse_path
+from .machine.kinematics import inverse, inverse_path, placed
 from .parts import Process, Scalar
 from .path.surface import area_stretch, curvature, tangent_to_parameter
 from .path.toolpath import Posture, resolved
@@ -69,8 +69,8 @@ def run(
 
     Samples lie closer where the rotary axes turn: past the pole, where C may turn by half
     a turn within a hundredth of a millimetre, evenly spaced ones would hide how fast.
-    Their places are held fixed when the path is differentiated. On a curved part limits
-    are kept between the samples too.
+    Their places are held fixed when the path is differentiated. On a curved part, and on
+    one that is turned by a wedge, limits are kept between the samples too.
 
     Args:
         process: The settings.
@@ -83,6 +83,9 @@ def run(
     Source: S0 (Pessoles & Tournier 2009), section 2.2.3.
     """
     held = schedule(process, setup)
+    machine = placed(setup.machine, process)
+    # on a plane no axis turns faster than the guide does, unless a wedge is under it
+    even = setup.flat and not process.wedged
     uniform = jnp.arange(samples, dtype=setup.size.dtype) / (samples - 1)
 
     def postures(s):
@@ -99,11 +102,11 @@ def run(
         )
 
     def turning(posture):
-        return inverse_path(posture.tip, posture.axis, setup.machine)
+        return inverse_path(posture.tip, posture.axis, machine)
 
     def place(s):
         at = jax.tree.map(lambda leaf: leaf[0], postures(s[None]))
-        return inverse(at.tip, at.axis, setup.machine), at.contact
+        return inverse(at.tip, at.axis, machine), at.contact
 
     def gather(_, s):
         axes = turning(postures(s))
@@ -113,18 +116,18 @@ def run(
         return jnp.interp(uniform * total[-1], total, s)
 
     s = setup.guide.length * uniform
-    if not setup.flat:  # on a plane no axis turns faster than the guide does
+    if not even:
         s = jax.lax.stop_gradient(jax.lax.fori_loop(0, ROUNDS, gather, s))
     posture = postures(s)
     axes = turning(posture)
     chords = jnp.sqrt(jnp.sum(jnp.diff(posture.contact, axis=0) ** 2, axis=1))
     arc = jnp.pad(jnp.cumsum(chords), (1, 0))
-    if setup.flat:
+    if even:
         found = jerk_law if jerk else time_law
-        law = found(axes, setup.machine, arc, process.feed, s)
+        law = found(axes, machine, arc, process.feed, s)
     else:
         found = exact_jerk_law if jerk else exact_time_law
-        law = found(place, s, setup.machine, process.feed)
+        law = found(place, s, machine, process.feed)
     return Run(posture, s, arc, axes, law, held)
 
 

@@ -56,6 +56,8 @@ INNER_UNITS = {
     "trochoid_radius": "mm",
     "feed": "mm/s",
     "spin": "rad/s",
+    **{f"shift_{way}": "mm" for way in "xyz"},
+    **{f"wedge_{way}": "rad" for way in "xyz"},
 }
 # map of texture: its unit, and what it is
 TEXTURE_MAPS = {
@@ -223,7 +225,7 @@ def numbers(
             "units": "mm, N, s, rad, MPa",
             **({"choice": loaded.chosen} if loaded.chosen else {}),
             "answers": report.answers(tuning, loaded),
-            "process": vars(tuning.process),
+            "process": {k: v for k, v in vars(tuning.process).items() if v is not None},
             "target": {k: vars(goal) for k, goal in job.target.items()},
             "outcome": outcome,
             "texture_parts": parts,

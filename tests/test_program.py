@@ -120,6 +120,8 @@ def test_programs_of_all_languages_hold_the_same_moves(made, blocks, read):
         for field in ("tip", "axis", "linear", "rotary", "feed"):
             if getattr(found, field) is not None:
                 np.testing.assert_array_equal(getattr(found, field), getattr(table, field))
+        # nothing is said of a part that nobody moved
+        assert not any(re.search("part offset|wedge|shift", n, re.I) for n in found.notes)
     timed = 60 / np.round(60 / table.seconds, 4)
     seconds = read["linuxcnc"].seconds
     assert seconds is not None

@@ -32,6 +32,24 @@ class Process(Section):
     """Spindle speed."""
     passes: Annotated[float | Tuned, Tunable("[1, 1000]")] = 1.0
     """How often the whole path is run."""
+    shift_x_mm: Annotated[float | Tuned, Tunable("[-1e4, 1e4]")] | None = None
+    """How far the part is moved on what carries it, along X of the machine with all axes at
+    zero; adds to `machine.placement.offset_mm`."""
+    shift_y_mm: Annotated[float | Tuned, Tunable("[-1e4, 1e4]")] | None = None
+    """The same along Y."""
+    shift_z_mm: Annotated[float | Tuned, Tunable("[-1e4, 1e4]")] | None = None
+    """The same along Z."""
+    wedge_x_deg: Annotated[float | Tuned, Tunable("[-45, 45]")] | None = None
+    """How the part is turned by a wedge between it and what carries it: adds to the angle
+    about X in `machine.placement.wedge_deg`."""
+    wedge_y_deg: Annotated[float | Tuned, Tunable("[-45, 45]")] | None = None
+    """The same about Y, after X."""
+    wedge_z_deg: Annotated[float | Tuned, Tunable("[-180, 180]")] | None = None
+    """The same about Z, after Y."""
+
+    def given(self) -> dict[str, float | Tuned]:
+        """What is set, by key: a shift or a wedge that is left out is not."""
+        return {key: value for key, value in self if value is not None}
 
 
 class Milled(Section):

@@ -117,8 +117,12 @@ def job(config: StepConfig, first: bool = True) -> Job:
         first: Whether it finds the start surface; a later step of a plan does not.
     """
     size = jnp.asarray(config.part.size_mm, dtype=float)
-    settings = {NAMES.get(k, k): v for k, v in internal(config.process).items()}
+    asked = {k: v for k, v in internal(config.process).items() if v is not None}
+    settings = {NAMES.get(k, k): v for k, v in asked.items()}
     begin = {k: v.start if isinstance(v, Tuned) else v for k, v in settings.items()}
+    if config.part.surface == "plane" and any(config.machine.placement.wedge_deg):
+        # a plane that stands aslant may meet the pole, whoever turned it
+        begin.setdefault("wedge_x", 0.0)
     between = {k: v.between for k, v in settings.items() if isinstance(v, Tuned)}
     aims = internal(config.target) if config.target is not None else {}
     goals = {k: v for k, v in aims.items() if v is not None}

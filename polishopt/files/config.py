@@ -454,7 +454,10 @@ def described(config: StepConfig, measured: str = "") -> str:
         ("abrasive", f"{config.abrasive.preset or 'own'}, grain {grain}"),
         ("machine", config.machine.preset or "own"),
         ("guide", f"{family}, {density}, {guide.corner} corners, {guide.mode}"),
-        *((word(key), quantity(key, value)) for key, value in config.process),
+        *(
+            (word(key), quantity(key, value))
+            for key, value in config.process.given().items()
+        ),
         ("start", measured or ", ".join(start)),
         ("target", ", ".join(goals) or "none"),
         ("limits", ", ".join(limits) or "none"),

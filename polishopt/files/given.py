@@ -383,7 +383,7 @@ class Axes(Section):
 
 
 class Placement(Section):
-    """How the part stands on what carries it."""
+    """How the part stands on what carries it; the process may move it from there."""
 
     offset_mm: Millimetre3 = (0.0, 0.0, 0.0)
     """Origin of the part with all axes at zero, from the point given for the rotary axis

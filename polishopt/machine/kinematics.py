@@ -16,6 +16,7 @@ of reach. Where $v$ lies along $e_1$ (the pole) any $\varphi_1$ will do. Travel 
 choice between solutions belong to `route`; collisions are not looked at.
 """
 
+import dataclasses
 from collections.abc import Sequence
 
 import jax
@@ -23,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..parts import Machine, Scalar
+from ..parts import Machine, Process, Scalar
 
 
 Fixed = tuple[float, float, float]
@@ -36,6 +37,27 @@ UNITS: dict[str, Fixed] = {
     "Z": (0.0, 0.0, 1.0),
 }
 SPINDLE = UNITS["Z"]
+
+
+def placed(machine: Machine, process: Process) -> Machine:
+    """The machine with the part where the process moves it on what carries it.
+
+    Each shift adds to the offset along its direction, all axes at zero. Each wedge adds to
+    the angle of the machine's own about the same direction, and the part is turned by the
+    sums: about X, then Y, then Z, through its own origin, which a wedge does not move.
+
+    Args:
+        machine: The machine, as the part stands without these settings.
+        process: Its shifts and wedges are read; None moves nothing.
+    """
+    moved = {}
+    for name, word in (("offset", "shift"), ("wedge", "wedge")):
+        more = [getattr(process, f"{word}_{way}") for way in "xyz"]
+        if any(one is not None for one in more):
+            own = getattr(machine, name)
+            sums = [a if b is None else a + b for a, b in zip(own, more, strict=True)]
+            moved[name] = jnp.stack(sums)
+    return dataclasses.replace(machine, **moved) if moved else machine
 
 
 def direction(machine: Machine, axis: int) -> Fixed:

@@ -280,6 +280,8 @@ def setting(
 ) -> Scalar:
     """One setting of a process, or `P600 tilt` of the processes of a plan.
 
+    A shift or a wedge that is not set is 0.
+
     Args:
         process: The settings.
         names: What the steps of a plan are called.
@@ -300,7 +302,8 @@ def setting(
         one = process[names.index(step)]
     if word not in SETTINGS:
         raise ValueError(f"`between` has {name!r}, which is no setting of `Process`.")
-    return getattr(one, word)
+    value = getattr(one, word)
+    return jnp.zeros_like(one.tilt) if value is None else value
 
 
 def applied(

@@ -79,7 +79,7 @@ def sensitivities(
         outcome = chain(dataclasses.replace(process, **given), setup)
         return jnp.stack([getattr(outcome, name) for name in outcomes])
 
-    x = jnp.stack([getattr(process, name) for name in settings])
+    x = jnp.stack([setting(process, (), name) for name in settings])
     return _matrix(values, x, tuple(outcomes), tuple(settings))
 
 
