@@ -102,5 +102,5 @@ share = 100 * (1 - float(path.arc[-1] / part.process.feed / path.law.total))
 Markdown(
     f"At 3° on R = 100 mm the axes take {share:.1f} % of the time; all of it in the middle "
     "of the part, where the slope is less than the tilt and the swing. A wedge under the "
-    "part (`machine.wedge_deg`) keeps it off the pole."
+    "part (`machine.placement.wedge_deg`) keeps it off the pole."
 )
