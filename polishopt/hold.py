@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .batched import in_batches
 from .contact.pressure import most_displacement, patch
 from .parts import Process, Scalar, Tool
 from .path.surface import curvature
@@ -146,10 +147,10 @@ def schedule(process: Process, setup: Setup) -> Schedule | None:
     count = KNOTS * (guide.panels.size - 1)
     spacing = guide.length / count
     s = spacing * jnp.arange(count + 1, dtype=setup.size.dtype)
-    e = jax.lax.map(
+    e = in_batches(
         lambda s: held_displacement(process, setup, loop_bend(process, setup, s)),
         s,
-        batch_size=AT_ONCE,
+        AT_ONCE,
     )
     # coefficients whose spline meets the values to fourth order in the spacing
     wide = jnp.pad(e, 2, mode="edge")

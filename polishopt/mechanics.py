@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .batched import in_batches
 from .contact.pressure import (
     body_clearance,
     effective_diameter,
@@ -248,7 +249,7 @@ def along(process: Process, setup: Setup) -> Stations:
 
     if s.size > MOST_KEPT:
         station = jax.checkpoint(station)
-    return jax.lax.map(station, (s, weight), batch_size=STATIONS_AT_ONCE)
+    return in_batches(station, (s, weight), STATIONS_AT_ONCE)
 
 
 def mechanics(process: Process, setup: Setup) -> Mechanics:

@@ -1,5 +1,6 @@
 """Coverage: closed forms on planes and caps, and what even sheets do to it."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -13,8 +14,10 @@ from polishopt.coverage import coverage, path_lengths, uneven_coverage
 from polishopt.evenness import remarks
 from polishopt.files.assemble import job
 from polishopt.files.config import load
+from polishopt.mechanics import mechanics
 from polishopt.path import Asphere, Plane, SphereCap, lines, peano
 from polishopt.path.even import reparametrised
+from polishopt.setup import FINE
 
 
 CONFIGS = Path(__file__).parent.parent / "configs"
@@ -95,7 +98,7 @@ def test_a_report_tells_what_an_even_sheet_does():
 
 @pytest.mark.slow
 def test_a_report_tells_what_following_the_curvature_does():
-    path = CONFIGS.parent / "tests" / "jobs" / "slender_insert.yaml"
+    path = CONFIGS / "slender_insert.yaml"
     presses = said(path, "guide.hold=force")[-1]
     held, least, most = map(float, re.findall(r"([\d.]+)(?= to| N)", presses))
     assert most / least > 1.05
@@ -103,3 +106,26 @@ def test_a_report_tells_what_following_the_curvature_does():
     presses = said(path)[-1]
     assert f"{least:.4g} to {most:.4g} N" in presses
     assert "guide.hold: force" in presses
+
+
+@pytest.mark.slow
+def test_removal_on_an_even_cap_varies_no_more_than_on_the_plane():
+    """Coefficient of variation of the removal map, S0's settings: with axes that keep up,
+    and on a B-C table. The Mikron's C does not keep up near the pole, and dwells there."""
+    plane = removal_varies("plane", "guide.corner=smooth")
+    even = "guide.even=true"
+    assert removal_varies("convex", even, ideal=("feed",)) < 1.1 * plane
+    assert removal_varies("convex", even, "machine=table_table_bc") < 1.1 * plane
+    assert removal_varies("convex", even, "process.feed_mm_min=500") < 1.1 * plane
+    assert removal_varies("convex", even) > 1.2 * plane
+
+
+@eqx.filter_jit
+def spread_of(process, setup):
+    return mechanics(process, setup).spread
+
+
+def removal_varies(name, *changes, ideal=()):
+    made = job(load(CONFIGS / f"pessoles2009_{name}.yaml", changes).config)
+    setup = dataclasses.replace(made.setup, sampling=FINE, idealised=ideal)
+    return float(spread_of(made.process, setup))

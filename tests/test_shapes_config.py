@@ -14,9 +14,8 @@ from polishopt.path.even import Even
 
 
 CONFIGS = Path(__file__).parent.parent / "configs"
-JOBS = Path(__file__).parent / "jobs"
-SLENDER = (JOBS / "slender_insert.yaml").read_text()
-MIRROR = (JOBS / "parabolic_mirror.yaml").read_text()
+SLENDER = (CONFIGS / "slender_insert.yaml").read_text()
+MIRROR = (CONFIGS / "parabolic_mirror.yaml").read_text()
 GUIDE = "  family: hilbert_rectangle\n  count: 4"
 NET = SLENDER[SLENDER.index("  surface: nurbs") : SLENDER.index("\ntool:")]
 
@@ -51,7 +50,7 @@ def test_guides_of_a_config(lines, vertices):
 
 
 def test_the_slender_insert_is_a_crown():
-    config = load(JOBS / "slender_insert.yaml").config
+    config = load(CONFIGS / "slender_insert.yaml").config
     made = surface(config, jnp.asarray([60.0, 15.0]))
     assert isinstance(made, Even)
     assert isinstance(made.surface, Nurbs)
@@ -60,7 +59,7 @@ def test_the_slender_insert_is_a_crown():
     # the parabolas through 0.75 and 0.1875 mm at the ends
     want = [x, y, -0.75 * (x / 30) ** 2 - 0.1875 * (y / 7.5) ** 2]
     assert_close(got, want, atol=1e-12)
-    assert "nurbs, 3 x 3 control points" in describe(load(JOBS / "slender_insert.yaml"))
+    assert "nurbs, 3 x 3 control points" in describe(load(CONFIGS / "slender_insert.yaml"))
 
 
 GRID = "\n".join(

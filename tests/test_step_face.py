@@ -73,7 +73,7 @@ from OCP.TopoDS import TopoDS, TopoDS_Compound  # noqa: E402
 from polishopt.files.occt import faces, patch, quiet_kernel  # noqa: E402
 
 
-SLENDER = Path(__file__).parent / "jobs" / "slender_insert.yaml"
+SLENDER = Path(__file__).parent.parent / "configs" / "slender_insert.yaml"
 SIZE = (60.0, 15.0)
 
 

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..batched import in_batches
 from ..parts import Machine, Scalar
 from .feed import TimeLaw, time_law_from_derivatives
 from .sweep import Limits
@@ -53,7 +54,7 @@ def motion(
         (first, along), (second, _) = jax.jvp(slope, (s,), (jnp.ones_like(s),))
         return Motion(first, second, jnp.sqrt(jnp.sum(along**2)))
 
-    return jax.lax.map(at, sigma, batch_size=AT_ONCE)
+    return in_batches(at, sigma, AT_ONCE)
 
 
 def exact_time_law(

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..batched import in_batches
 from ..parts import Machine, Scalar
 from .feed import derivatives
 from .interior import Rows, search
@@ -46,7 +47,7 @@ def slopes(
         rate = jnp.where(moves, jnp.sqrt(jnp.where(moves, square, 1.0)), 0.0)
         return jnp.append(first, rate)
 
-    return jax.lax.map(at, sigma, batch_size=AT_ONCE)
+    return in_batches(at, sigma, AT_ONCE)
 
 
 def exact_jerk_law(

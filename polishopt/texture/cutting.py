@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..batched import in_batches
 from ..parts import Scalar
 from ..path.surface import Surface, area_stretch, curvature, jacobian, normal
 from .cutter import Cutter, Passings
@@ -184,7 +185,7 @@ def removed_volume(
         return depth * area_stretch(surface, xy)
 
     xy = jnp.stack(jnp.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    depths = jax.lax.map(lambda at: column(*at), (xy, heights.reshape(-1)), batch_size=4096)
+    depths = in_batches(lambda at: column(*at), (xy, heights.reshape(-1)), 4096)
     return jnp.sum(depths) * (x[1] - x[0]) * (y[1] - y[0])
 
 
