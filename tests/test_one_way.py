@@ -6,6 +6,7 @@ from pathlib import Path
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from helpers import assert_close
 from polishopt.files.assemble import job
 from polishopt.files.config import load
@@ -20,6 +21,7 @@ CONFIGS = Path(__file__).parent.parent / "configs"
 SIDES = (16.0, 12.0)
 
 
+@pytest.mark.slow
 def test_the_way_back_takes_time_and_removes_nothing():
     """The averaged process is that of the path as it is run, and the lines hold it all."""
     made = job(load(CONFIGS / "pessoles2009_diamond.yaml").config)

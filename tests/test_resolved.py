@@ -101,6 +101,7 @@ def phase_maps(faster):
     return np.asarray(maps), np.asarray(average(given, setup).removal)
 
 
+@pytest.mark.slow
 def test_mean_over_starting_phases_is_the_averaged_map():
     """As close as the scatter of 256 paths allows, at S0's own spindle speed."""
     maps, want = phase_maps(1.0)
@@ -115,6 +116,7 @@ def test_mean_over_starting_phases_is_the_averaged_map():
     assert_close(maps.mean(), want.mean(), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_spread_is_smooth_in_the_step_only_where_averaged():
     """Second differences over nine steps, in the whole change: noise has large ones."""
     setup, rough, smooth = one_bend(), [], []

@@ -3,6 +3,7 @@
 # the kernel comes without types
 # pyright: reportAttributeAccessIssue=false, reportFunctionMemberAccess=false
 
+import json
 import sys
 from pathlib import Path
 
@@ -387,21 +388,40 @@ def config(keys="", size="[60, 15]"):
 polished = eqx.filter_jit(polish)
 
 
+def write_insert(net, folder):
+    """The crown of the slender insert, as a CAD program would export it."""
+    net = np.asarray(net)
+    points = np.empty(net.shape[:2], object)
+    for place in np.ndindex(*net.shape[:2]):
+        points[place] = gp_Pnt(*net[place].tolist())
+    knots = filled(Array1_double, np.array([0.0, 1.0]))
+    many = filled(Array1_int, np.array([3, 3], object))
+    crown = Geom_BSplineSurface(
+        filled(Array2_gp_Pnt, points), knots, knots, many, many, 2, 2
+    )
+    written(face(crown), folder)
+
+
+@pytest.mark.slow
+def test_a_step_face_is_tuned(tmp_path):
+    """All four settings, end to end by the command."""
+    path, target = tmp_path / "job.yaml", tmp_path / "results"
+    surface = job(check(TEXT, path).config).setup.surface
+    write_insert(surface.surface.net, tmp_path)
+    path.write_text(config())
+    assert main([str(path), "-o", str(target), "--set", "solver.starts=4"]) == 0
+    result = json.loads((target / "result.json").read_text())
+    assert result["verdict"] == "solved"
+    assert abs(result["outcome"]["Ssk"] + 0.82) < 1e-3
+    assert list(result["starts"]) == ["tilt", "displacement", "step", "trochoid_radius"]
+
+
 def test_a_step_face_as_a_job(tmp_path, capsys):
     """The slender insert from a file: checked by the command, kept beside its answer, and
     polished like the one from the numbers in its config."""
     path = tmp_path / "job.yaml"
-    path.write_text(TEXT.replace("  even: true\n", ""))
-    as_numbers = job(check(path.read_text(), path).config)
-    net, ends = np.asarray(as_numbers.setup.surface.net), np.array([0.0, 1.0])
-    points = np.empty(net.shape[:2], object)
-    for place in np.ndindex(*net.shape[:2]):
-        points[place] = gp_Pnt(*net[place].tolist())
-    knots, many = filled(Array1_double, ends), filled(Array1_int, np.array([3, 3], object))
-    crown = Geom_BSplineSurface(
-        filled(Array2_gp_Pnt, points), knots, knots, many, many, 2, 2
-    )
-    written(face(crown), tmp_path)
+    as_numbers = job(check(TEXT.replace("  even: true\n", ""), path).config)
+    write_insert(as_numbers.setup.surface.net, tmp_path)
     path.write_text(config().replace("  even: true\n", ""))
     assert main([str(path), "--check"]) == 0
     assert "insert.step, 60 x 15 mm" in capsys.readouterr().out
