@@ -2,7 +2,8 @@
 
 Prints the coefficient of variation of the removal map for S0's settings on the plane, and
 on the cap of radius 100 mm with the guide laid out on its shadow and by area: on S0's
-machine, with axes that have no limits, and on other machines and at other feeds. Run as
+machine, with axes that have no limits, at half the feed, with the pole of C taken off the
+part, and on other machines. Run as
 
     python benchmarks/bench_even.py
 """
@@ -20,7 +21,7 @@ from polishopt.setup import FINE
 
 jax.config.update("jax_enable_x64", True)
 CONFIGS = Path(__file__).parent.parent / "configs"
-EVEN = "guide.even=true"
+EVEN, WEDGE = "guide.even=true", "process.wedge_y_deg=22"
 ROWS = [
     ("plane", "plane", ["guide.corner=smooth"], False),
     ("cap, on its shadow", "convex", [], False),
@@ -28,7 +29,7 @@ ROWS = [
     ("cap, on its shadow, axes without limits", "convex", [], True),
     ("cap, by area, axes without limits", "convex", [EVEN], True),
     ("cap, by area, half the feed", "convex", [EVEN, "process.feed_mm_min=500"], False),
-    ("cap, by area, a quarter", "convex", [EVEN, "process.feed_mm_min=250"], False),
+    ("cap, by area, on a wedge of 22 deg", "convex", [EVEN, WEDGE], False),
     ("cap, by area, B-C table", "convex", [EVEN, "machine=table_table_bc"], False),
     ("cap, by area, head and table", "convex", [EVEN, "machine=head_table_bc"], False),
 ]
