@@ -174,7 +174,7 @@ def write(target: Path, loaded, goals: Mapping, line, area, answer=None) -> None
     """
     from . import plots
     from .files.results import write_table
-    from .front_plot import aims, front_figure, region_figure, shown, title
+    from .front_plot import aims, bare, front_figure, region_figure, shown, title
     from .interruption import keys
     from .units import from_internal, suffix
 
@@ -195,7 +195,7 @@ def write(target: Path, loaded, goals: Mapping, line, area, answer=None) -> None
             title(first),
             title(second),
             *named.values(),
-            f"{first} saved per unit of {second}",
+            f"{first} saved per unit of {second} [{bare(first)}/{bare(second)}]",
         ],
         [[*cells(line.names, p), p.slope * price] for p in line.points],
     )
