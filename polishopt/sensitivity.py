@@ -10,6 +10,9 @@ import sys
 from .session import arguments, begin
 
 
+MOST = 2**16  # samples, as many as a night takes
+
+
 def main(argv: list[str] | None = None) -> int:
     """Runs the command and returns its exit code."""
     parser = arguments(
@@ -44,9 +47,10 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _power_of_two(text: str) -> int:
-    number = int(text)
-    if number < 2 or number & (number - 1):
-        raise argparse.ArgumentTypeError(f"{text} is no power of two from 2 on")
+    number = int(text) if text.isdecimal() else 0
+    if not 2 <= number <= MOST or number & (number - 1):
+        sentence = f"is {text}, must be a power of two between 2 and {MOST}"
+        raise argparse.ArgumentTypeError(sentence)
     return number
 
 
