@@ -68,11 +68,10 @@ def main(argv: list[str] | None = None) -> int:
         if pair and pair[0] == pair[1]:
             print(f"{pair[0]!r} is there twice, must be two outcomes", file=sys.stderr)
             return BAD_INPUT
-    from .interruption import finished, keys
+    from .interruption import NOTHING_TUNED, finished, keys
 
     if not keys(asked.loaded):
-        sentence = "nothing is tuned: write {start: ..., between: [..., ...]} for a setting"
-        print(f"{asked.loaded.path}: {sentence}", file=sys.stderr)
+        print(f"{asked.loaded.path}: {NOTHING_TUNED}", file=sys.stderr)
         return BAD_INPUT
     store = finished(asked, FOLDER)
     try:

@@ -103,7 +103,7 @@ def read_text(path: Path) -> str:
     except FileNotFoundError:
         raise ConfigError([Problem(str(path), "there is no such file")]) from None
     except IsADirectoryError:
-        sentence = "is a folder; name the config file itself"
+        sentence = "is a folder; name the file itself"
         raise ConfigError([Problem(str(path), sentence)]) from None
     except OSError as error:
         sentence = f"cannot be read: {error.strerror or error}"
