@@ -20,8 +20,8 @@ from .session import (
     INTERRUPTED,
     arguments,
     begin,
-    leave,
     opening,
+    perform,
     preload,
     resumable,
     stoppable,
@@ -170,7 +170,7 @@ def _rehearse(job) -> None:
 
 def run() -> None:
     """The console script."""
-    leave(main())
+    perform(main)
 
 
 if __name__ == "__main__":

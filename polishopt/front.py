@@ -18,8 +18,8 @@ from .session import (
     Asked,
     arguments,
     begin,
-    leave,
     opening,
+    perform,
     resumable,
     stoppable,
 )
@@ -222,4 +222,4 @@ def write(target: Path, loaded, goals: Mapping, line, area, answer=None) -> None
 
 
 if __name__ == "__main__":
-    leave(main())
+    perform(main)

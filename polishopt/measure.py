@@ -19,7 +19,7 @@ import numpy as np
 
 from .files.document import write_text
 from .files.topography import Topography, TopographyError, read
-from .session import BAD_INPUT, folder, prepare
+from .session import BAD_INPUT, folder, perform, prepare
 from .units import from_internal, label
 
 
@@ -303,4 +303,4 @@ def write_csv(path: Path, rows: list[Row]) -> None:
 
 def run() -> None:
     """What `python -m polishopt.texture` calls."""
-    sys.exit(main())
+    perform(main)

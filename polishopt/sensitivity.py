@@ -5,9 +5,8 @@ for a single step which settings make the outcomes vary between their bounds.
 """
 
 import argparse
-import sys
 
-from .session import arguments, begin
+from .session import arguments, begin, perform
 
 
 MOST = 2**16  # samples, as many as a night takes
@@ -55,4 +54,4 @@ def _power_of_two(text: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    perform(main)

@@ -215,3 +215,24 @@ def test_a_step_without_a_tuned_setting_is_refused(tmp_path, capsys):
     assert said.startswith(f"{plane}: nothing is tuned: write {{start: ")
     assert said.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+COMMANDS = ("fit", "program", "sensitivity", "front", "attribution", "calibrate", "texture")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_can_be_interrupted_at_any_time(command):
+    """A word and exit code 130, no traceback."""
+    code = (
+        "import argparse, runpy\n"
+        "def stop(*_): raise KeyboardInterrupt\n"
+        "argparse.ArgumentParser.parse_args = stop\n"
+        f"runpy.run_module('polishopt.{command}', run_name='__main__')"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ran.returncode, ran.stdout, ran.stderr) == (130, "", "Interrupted.\n")
