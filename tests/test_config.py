@@ -448,6 +448,7 @@ def test_windows_files_load(tmp_path):
         ("=3", "write an override as key=value"),
         ("process..tilt_deg=3", "write an override as key=value"),
         ("process.tilt_deg=[1", "the value is not valid YAML"),
+        pytest.param(f"title={3000 * '['}", "the value is not valid YAML", id="deep"),
         ("process.step_mm=", "process.step_mm has no value"),
         ("process.step_mm.start=1", "process.step_mm is 1, it holds no keys"),
         ("part.size_mm[2]=1", "part.size_mm is a list of 2"),
