@@ -7,7 +7,7 @@ outcomes into contact, stretch of area, true feed, and the path.
 import sys
 from pathlib import Path
 
-from .session import BAD_INPUT, arguments, folder, own_values, prepare, read
+from .session import BAD_INPUT, arguments, folder, own_values, perform, prepare, read
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -60,4 +60,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    perform(main)

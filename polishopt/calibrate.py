@@ -16,7 +16,7 @@ from .files.calibrated import Constant, calibrated, key_of
 from .files.config import Loaded, write_text
 from .files.document import ConfigError
 from .files.measurements import COLUMNS, Measurements, measurements
-from .session import BAD_INPUT, folder, own_values, prepare, read
+from .session import BAD_INPUT, folder, own_values, perform, prepare, read
 from .units import from_internal, label, suffix
 
 
@@ -360,4 +360,4 @@ def show_unstick(console, unstick, errors, table: Measurements) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    perform(main)

@@ -53,8 +53,9 @@ def polish(process: Process, setup: Setup) -> Outcome:
         setup: The job: part, guide, tool, abrasive, machine, start texture, sampling.
 
     Returns:
-        The outcome. Its gradients are finite everywhere, also where the disc does not
-        touch (no removal, and the start texture stays) or touches as a whole.
+        The outcome. Its gradients are finite wherever step, feed and passes are positive,
+        also where the disc does not touch (no removal, and the start texture stays) or
+        touches as a whole.
 
     Source: S0 (Pessoles & Tournier 2009) for the process; the texture model is our own.
     """

@@ -16,11 +16,12 @@ from pathlib import Path
 from .files.config import Loaded
 from .files.searches import Searches
 from .session import (
+    BAD_INPUT,
     INTERRUPTED,
     arguments,
     begin,
-    leave,
     opening,
+    perform,
     preload,
     resumable,
     stoppable,
@@ -39,8 +40,13 @@ def main(argv: list[str] | None = None) -> int:
     if isinstance(asked, int):
         return asked
     from .choices import compare
-    from .interruption import finished, interrupted
+    from .interruption import NOTHING_TUNED, finished, interrupted, keys
 
+    # a plan is run as it stands then, and of choices it is known already
+    lone = not asked.loaded.steps and not asked.loaded.alternatives
+    if lone and not keys(asked.loaded):
+        print(f"{asked.loaded.path}: {NOTHING_TUNED}", file=sys.stderr)
+        return BAD_INPUT
     work = fit_plan if asked.loaded.steps else fit
     store = finished(asked)
     try:
@@ -164,7 +170,7 @@ def _rehearse(job) -> None:
 
 def run() -> None:
     """The console script."""
-    leave(main())
+    perform(main)
 
 
 if __name__ == "__main__":

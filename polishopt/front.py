@@ -18,8 +18,8 @@ from .session import (
     Asked,
     arguments,
     begin,
-    leave,
     opening,
+    perform,
     resumable,
     stoppable,
 )
@@ -68,11 +68,10 @@ def main(argv: list[str] | None = None) -> int:
         if pair and pair[0] == pair[1]:
             print(f"{pair[0]!r} is there twice, must be two outcomes", file=sys.stderr)
             return BAD_INPUT
-    from .interruption import finished, keys
+    from .interruption import NOTHING_TUNED, finished, keys
 
     if not keys(asked.loaded):
-        sentence = "nothing is tuned: write {start: ..., between: [..., ...]} for a setting"
-        print(f"{asked.loaded.path}: {sentence}", file=sys.stderr)
+        print(f"{asked.loaded.path}: {NOTHING_TUNED}", file=sys.stderr)
         return BAD_INPUT
     store = finished(asked, FOLDER)
     try:
@@ -174,7 +173,7 @@ def write(target: Path, loaded, goals: Mapping, line, area, answer=None) -> None
     """
     from . import plots
     from .files.results import write_table
-    from .front_plot import aims, front_figure, region_figure, shown, title
+    from .front_plot import aims, bare, front_figure, region_figure, shown, title
     from .interruption import keys
     from .units import from_internal, suffix
 
@@ -195,7 +194,7 @@ def write(target: Path, loaded, goals: Mapping, line, area, answer=None) -> None
             title(first),
             title(second),
             *named.values(),
-            f"{first} saved per unit of {second}",
+            f"{first} saved per unit of {second} [{bare(first)}/{bare(second)}]",
         ],
         [[*cells(line.names, p), p.slope * price] for p in line.points],
     )
@@ -223,4 +222,4 @@ def write(target: Path, loaded, goals: Mapping, line, area, answer=None) -> None
 
 
 if __name__ == "__main__":
-    leave(main())
+    perform(main)

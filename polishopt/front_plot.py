@@ -57,6 +57,11 @@ def title(name: str) -> str:
     return f"{name.replace('_', ' ')} [{label(unit(name)) or '-'}]"
 
 
+def bare(name: str) -> str:
+    """The unit in which an outcome is shown, to be divided or divided by."""
+    return "tolerance" if name == MISS else label(unit(name)) or "1"
+
+
 def shown(name: str, values):
     """Values of an outcome in the unit in which it is shown."""
     return np.asarray(values, float) * from_internal(1.0, unit(name))

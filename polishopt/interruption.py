@@ -19,6 +19,7 @@ from .units import from_internal, label, suffix
 
 
 FOLDER, PARTIAL = "searches", "partial.csv"
+NOTHING_TUNED = "nothing is tuned: write {start: ..., between: [..., ...]} for a setting"
 ENDED = ("stationary", "limits cannot all hold", "work ran out", "not a number")
 
 

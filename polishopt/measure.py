@@ -15,9 +15,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from .files.document import write_text
 from .files.topography import Topography, TopographyError, read
-from .session import BAD_INPUT, folder, prepare
+from .session import BAD_INPUT, folder, perform, prepare
 from .units import from_internal, label
 
 
@@ -103,18 +105,17 @@ def main(argv: list[str] | None = None) -> int:
     given = arguments().parse_args(argv)
     try:
         surface = read(given.surface)
-        rows, columns = surface.heights.shape
-        if min(rows, columns) < FEWEST_POINTS:
-            sentence = (
-                f"holds {columns} x {rows} points, must hold at least {FEWEST_POINTS}"
-            )
-            raise TopographyError(given.surface, f"{sentence} along each side")
+        if sentence := too_few(surface):
+            raise TopographyError(given.surface, sentence)
     except TopographyError as error:
         print(error, file=sys.stderr)
         return BAD_INPUT
     short, long = given.s_filter_mm, given.l_filter_mm
     if short and long and short >= long:
         sentence = f"--s-filter-mm is {short:g}, must lie below --l-filter-mm, {long:g} mm"
+        print(sentence, file=sys.stderr)
+        return BAD_INPUT
+    if sentence := takes_all(short, long, surface):
         print(sentence, file=sys.stderr)
         return BAD_INPUT
     target = given.output or Path("runs") / given.surface.stem
@@ -127,6 +128,38 @@ def main(argv: list[str] | None = None) -> int:
         print("Interrupted: nothing more is written.", file=sys.stderr)
         return 130
     return 0
+
+
+def too_few(surface: Topography) -> str:
+    """Why a surface has too few points for texture, or ''."""
+    rows, columns = surface.heights.shape
+    if min(rows, columns) < FEWEST_POINTS:
+        held = f"holds {columns} x {rows} points"
+        return f"{held}, must hold at least {FEWEST_POINTS} along each side"
+    measured = ~np.isnan(surface.heights)
+    across, along = measured.any(axis=0).sum(), measured.any(axis=1).sum()
+    if min(across, along) < FEWEST_POINTS or measured.sum() < FEWEST_POINTS**2:
+        return (
+            f"has heights at {measured.sum()} of its {columns} x {rows} points, must have "
+            f"{FEWEST_POINTS**2} or more, in {FEWEST_POINTS} rows and columns at least"
+        )
+    return ""
+
+
+def takes_all(short: float | None, long: float | None, surface: Topography) -> str:
+    """Which filter would leave nothing of a surface, and why, or ''.
+
+    Args:
+        short: Cut-off of the S-filter [mm]; None for none.
+        long: Cut-off of the L-filter [mm]; None for none.
+        surface: What is to be filtered.
+    """
+    side, step = max(surface.extent), 2 * min(surface.spacing)
+    if short and short >= side:
+        return f"--s-filter-mm is {short:g}, must lie below the longer side, {side:g} mm"
+    if long and long <= step:
+        return f"--l-filter-mm is {long:g}, must lie above two spacings, {step:g} mm"
+    return ""
 
 
 class Row(NamedTuple):
@@ -151,7 +184,6 @@ def measure(surface: Topography, given: argparse.Namespace, target: Path) -> Non
     """
     import equinox as eqx
     import jax.numpy as jnp
-    import numpy as np
     from rich.console import Console
 
     from . import plots, report
@@ -197,7 +229,7 @@ def measure(surface: Topography, given: argparse.Namespace, target: Path) -> Non
 
     console.print(
         f"{given.surface}: {count} points on {sides} mm, "
-        f"{100 * surface.unmeasured:.2g} % of them not measured. {asked}."
+        f"{100 * surface.unmeasured:.3g} % of them not measured. {asked}."
     )
     shown = report.empty_table("Texture", "", "unit", "value", "±", "meaning")
     shown.columns[-1].justify = "left"
@@ -271,4 +303,4 @@ def write_csv(path: Path, rows: list[Row]) -> None:
 
 def run() -> None:
     """What `python -m polishopt.texture` calls."""
-    sys.exit(main())
+    perform(main)

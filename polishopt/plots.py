@@ -251,7 +251,7 @@ def texture_maps(
         )
         named(axes, "x", "y", "mm", "mm")
         ends = f"{inside.min():.3g} to {inside.max():.3g} {label(unit)}".rstrip()
-        axes.set_title(f"{name}: {ends} inside the dashed line")
+        axes.set_title(f"{name}: {ends}\ninside the dashed line".replace("-", "−"))
     return figure
 
 

@@ -118,7 +118,7 @@ def paths(jobs: Sequence[tuple[Process, Setup, StepConfig]]) -> list[Programs]:
         # steps that differ in the abrasive alone take the same way
         way = (process, setup.surface, setup.guide, setup.tool.radius, setup.machine)
         way = (*way, setup.pulling, setup.lean, config.program)
-        if setup.holds:  # then it depends on how the disc presses
+        if not setup.flat:  # then how the disc presses is told, and may move it
             way = (*way, setup.hold, setup.tool)
         if last is None or not eqx.tree_equal(way, last):
             path = stored(run)(process, setup, samples(process, setup))

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from .files.config import Loaded
-from .session import BAD_INPUT, arguments, folder, own_values, prepare, read
+from .session import BAD_INPUT, arguments, folder, own_values, perform, prepare, read
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -67,7 +67,7 @@ def program(loaded: Loaded, target: Path | None, quiet: bool = False) -> int:
 
 def run() -> None:
     """The console script."""
-    sys.exit(main())
+    perform(main)
 
 
 if __name__ == "__main__":

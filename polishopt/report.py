@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from .chain import Outcome
@@ -274,7 +275,7 @@ def attribution_table(split: Attribution, first: str, second: str) -> Table:
         second: What the second is.
     """
     table = empty_table(
-        f"From {first} (first)\nto {second} (second)",
+        escape(f"From {first} (first)\nto {second} (second)"),
         *("", "first", "second", "change", *split.effects),
     )
     table.collapse_padding, table.pad_edge = True, False
@@ -286,7 +287,7 @@ def attribution_table(split: Attribution, first: str, second: str) -> Table:
         size = max(map(abs, ends))
         digits = max(3 - math.floor(math.log10(size)), 0) if size > 0 else 0
         table.add_row(
-            f"{name.replace('_', ' ')} [{label(unit)}]" if unit else name,
+            escape(f"{name.replace('_', ' ')} [{label(unit)}]" if unit else name),
             *(f"{value:.{digits}f}" for value in ends),
             *(f"{value:+.{digits}f}" for value in (ends[1] - ends[0], *shares)),
         )

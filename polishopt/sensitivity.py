@@ -5,9 +5,11 @@ for a single step which settings make the outcomes vary between their bounds.
 """
 
 import argparse
-import sys
 
-from .session import arguments, begin
+from .session import arguments, begin, perform
+
+
+MOST = 2**16  # samples, as many as a night takes
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -44,11 +46,12 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _power_of_two(text: str) -> int:
-    number = int(text)
-    if number < 2 or number & (number - 1):
-        raise argparse.ArgumentTypeError(f"{text} is no power of two from 2 on")
+    number = int(text) if text.isdecimal() else 0
+    if not 2 <= number <= MOST or number & (number - 1):
+        sentence = f"is {text}, must be a power of two between 2 and {MOST}"
+        raise argparse.ArgumentTypeError(sentence)
     return number
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    perform(main)

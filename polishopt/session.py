@@ -201,6 +201,20 @@ def opening(loaded: Loaded, quiet: bool) -> Voice:
     return Voice(told, console, say)
 
 
+def perform(main: Callable[[], int]) -> NoReturn:
+    """Does what a command line asks, and ends the process.
+
+    Args:
+        main: The command; returns its exit code.
+    """
+    try:
+        code = main()
+    except KeyboardInterrupt:
+        print("Interrupted.", file=sys.stderr)
+        code = INTERRUPTED
+    leave(code)
+
+
 def leave(code: int) -> NoReturn:
     """Ends the process; after an interruption at once, whatever it still computes.
 

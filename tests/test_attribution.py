@@ -106,10 +106,13 @@ def test_the_same_job_twice_has_nothing_to_split():
 def test_table_and_file(split, tmp_path):
     printed = io.StringIO()
     console = Console(width=80, file=printed)
-    console.print(attribution_table(split, "plane", "convex"))
+    console.print(attribution_table(split, "plane [old]", "convex"))
     shown = printed.getvalue()
     assert "…" not in shown, "it fits a terminal"
-    assert "mean removal [µm]" in shown
+    # what stands in brackets is no markup
+    assert "plane [old]" in shown
+    for quantity in ("mean removal [µm]", "time [min]", "contact area [mm²]"):
+        assert quantity in shown
     write_attribution(tmp_path / "a.csv", split, {"force": "N"})
     lines = (tmp_path / "a.csv").read_text().splitlines()
     assert lines[0] == "outcome,unit,effect,first,second,share,least,most"

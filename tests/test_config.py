@@ -407,6 +407,15 @@ def test_aliases_that_multiply_are_stopped(tmp_path):
     ]
     (problem,) = mistakes(written(tmp_path, "\n".join(rows)))
     assert "nested too deeply" in problem.sentence
+    many = "\n".join(f"key{i}: 1" for i in range(20_001))
+    (problem,) = mistakes(written(tmp_path, many))
+    assert "holds more than 20000 values" in problem.sentence
+
+
+def test_a_text_too_long_for_a_config_is_not_read(tmp_path):
+    """A million lines of comments would take minutes."""
+    (problem,) = mistakes(written(tmp_path, "a: 1\n" + 1_000_000 * "#\n"))
+    assert problem.sentence == "holds 2000005 characters, a config at most 500000"
 
 
 def test_files_that_cannot_be_read(tmp_path):
@@ -439,6 +448,7 @@ def test_windows_files_load(tmp_path):
         ("=3", "write an override as key=value"),
         ("process..tilt_deg=3", "write an override as key=value"),
         ("process.tilt_deg=[1", "the value is not valid YAML"),
+        pytest.param(f"title={3000 * '['}", "the value is not valid YAML", id="deep"),
         ("process.step_mm=", "process.step_mm has no value"),
         ("process.step_mm.start=1", "process.step_mm is 1, it holds no keys"),
         ("part.size_mm[2]=1", "part.size_mm is a list of 2"),

@@ -267,3 +267,12 @@ def test_gradients_are_finite_at_every_corner(tilt, displacement, bend):
     x = np.array([tilt, displacement, bend])
     for values in (outcomes(x), forward(x), reverse(x)):
         assert np.isfinite(values).all()
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-9, 0.1])
+@pytest.mark.parametrize("displacement", [0.0, -0.1, 0.5])
+def test_gradients_are_finite_in_single_precision_too(tilt, displacement):
+    with jax.enable_x64(False):
+        got = reverse(jnp.asarray([tilt, displacement, 0.0], dtype=jnp.float32))
+        assert got.dtype == jnp.float32
+        assert np.isfinite(got).all()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from polishopt.files.ncode import DIALECTS
 from polishopt.files.topography import read
+from polishopt.fit import main
 from ruamel.yaml import YAML
 
 
@@ -203,3 +204,35 @@ def test_sensitivity_command_draws_again(tmp_path, cache):
     assert lines[1].endswith(",8")
     for name in ("sensitivity", "variance"):
         assert (tmp_path / f"{name}.svg").read_text().startswith("<?xml")
+
+
+def test_a_step_without_a_tuned_setting_is_refused(tmp_path, capsys):
+    fixed = ["tilt_deg=3", "displacement_mm=0.4", "step_mm=1", "trochoid_radius_mm=6"]
+    changes = [f"--set=process.{one}" for one in fixed]
+    plane = str(CONFIGS / "pessoles2009_plane.yaml")
+    assert main([plane, "-o", str(tmp_path), "--no-cache", *changes]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"{plane}: nothing is tuned: write {{start: ")
+    assert said.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+COMMANDS = ("fit", "program", "sensitivity", "front", "attribution", "calibrate", "texture")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_can_be_interrupted_at_any_time(command):
+    """A word and exit code 130, no traceback."""
+    code = (
+        "import argparse, runpy\n"
+        "def stop(*_): raise KeyboardInterrupt\n"
+        "argparse.ArgumentParser.parse_args = stop\n"
+        f"runpy.run_module('polishopt.{command}', run_name='__main__')"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ran.returncode, ran.stdout, ran.stderr) == (130, "", "Interrupted.\n")

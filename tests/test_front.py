@@ -14,11 +14,11 @@ from helpers import assert_close
 from polishopt import Goal, Limits, Outcome, Process, Setup, Start, relax, tune
 from polishopt.files.assemble import Job, job
 from polishopt.files.config import load
-from polishopt.front import main
+from polishopt.front import main, write
 from polishopt.front_plot import Aim, front_figure, region_figure, shown
 from polishopt.optimize import explore
 from polishopt.optimize.explore import Explorer, value
-from polishopt.optimize.front import Front, Region, front, region
+from polishopt.optimize.front import Front, Point, Region, front, region
 from polishopt.optimize.goals import PlanLimits
 from polishopt.plan import Plan, PlanOutcome
 from polishopt.texture.scratches import Population
@@ -333,3 +333,18 @@ def test_the_command_draws_front_and_region(tmp_path):
     rows = list(csv.DictReader((tmp_path / "front.csv").read_text().splitlines()))
     times = [float(row["time [min]"]) for row in rows]
     assert times == sorted(times, reverse=True)
+
+
+def test_the_table_tells_the_unit_of_a_price(tmp_path):
+    """Half a minute saved per tolerance, and per cent of spread."""
+    loaded = load(CONFIGS / "pessoles2009_plane.yaml")
+    settings = {"tilt": 0.1, "displacement": 0.4, "step": 1.0, "trochoid_radius": 6.0}
+    drawn = np.ones((1, 2))
+    area = Region(("Ssk", "Sku"), (), (), drawn, 1)
+    for second, unit, slope in (("miss", "tolerance", 30.0), ("spread", "%", 3000.0)):
+        points = tuple(
+            Point((t, v), settings, slope) for t, v in ((60.0, 0.1), (30.0, 1.1))
+        )
+        write(tmp_path, loaded, {}, Front(("time", second), points, drawn, 1), area)
+        (first, _) = csv.DictReader((tmp_path / "front.csv").read_text().splitlines())
+        assert float(first[f"time saved per unit of {second} [min/{unit}]"]) == 0.5

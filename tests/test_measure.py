@@ -151,6 +151,8 @@ def test_the_command_is_polishopt_texture(tmp_path):
         (["--s-filter-mm", "0,8"], "--s-filter-mm: is 0,8, must lie in"),
         (["--form", "sphere"], "invalid choice: 'sphere'"),
         (["--s-filter-mm", "1", "--l-filter-mm", "0.5"], "must lie below --l-filter-mm"),
+        (["--s-filter-mm", "0.2"], "must lie below the longer side, 0.192 mm"),
+        (["--l-filter-mm", "0.002"], "must lie above two spacings, 0.002 mm"),
     ],
 )
 def test_bad_arguments_are_told_with_what_is_allowed(asked, said, tmp_path, capsys):
@@ -161,3 +163,17 @@ def test_bad_arguments_are_told_with_what_is_allowed(asked, said, tmp_path, caps
         code = left.code
     assert code == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "place", [(slice(40, 41), slice(40, 41)), (slice(40, 45), slice(0, 96))]
+)
+def test_few_measured_points_hold_no_texture(place, tmp_path, capsys):
+    """One point, and five rows of them: no numbers, and no warnings of numpy."""
+    heights = np.full((96, 96), np.nan)
+    heights[place] = 1e-4
+    write(tmp_path / "few.x3p", Topography(heights, (1e-3, 1e-3)))
+    assert main([str(tmp_path / "few.x3p"), "-o", str(tmp_path / "out")]) == 2
+    count = int((~np.isnan(heights)).sum())
+    assert f"has heights at {count} of its 96 x 96 points" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

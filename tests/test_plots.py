@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from polishopt import feed_plot, plots
@@ -18,6 +19,7 @@ from polishopt.path.families import lines
 from polishopt.path.surface import Plane, SphereCap
 from polishopt.resolved import run
 from polishopt.setup import Setup, Start
+from polishopt.texture.local import TextureMaps
 from polishopt.texture.scratches import Population
 
 
@@ -161,6 +163,22 @@ def test_removal():
 
 def test_no_removal():
     assert "µm" in labels(plots.removal(jnp.zeros((4, 4)), jnp.asarray([8.0, 6.0])))
+
+
+def test_titles_of_texture_maps_are_not_cut_off():
+    """Also those of small numbers, which are long."""
+    low, high = jnp.asarray(2.72e-6), jnp.asarray(6.09e-4)
+    values = jnp.linspace(low, high, 64).reshape(8, 8)
+    maps = TextureMaps(values, values, -1e-3 - values, values, jnp.ones((8, 8), bool))
+    figure = plots.texture_maps(values, maps, jnp.asarray([50.0, 50.0]), 5.0)
+    figure.set_canvas(FigureCanvasAgg(figure))
+    figure.draw_without_rendering()
+    for axes in figure.axes[:4]:
+        box = axes.title.get_window_extent()
+        assert figure.bbox.x0 <= box.x0
+        assert box.x1 <= figure.bbox.x1
+    assert "depth removed: 0.00272 to 0.609 µm" in titles(figure)
+    assert "Ssk: −0.00161 to −0.001" in titles(figure)
 
 
 @pytest.mark.parametrize("log", [True, False])

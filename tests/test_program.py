@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import equinox as eqx
@@ -385,3 +386,32 @@ def test_paths_of_a_plan_are_run_once_where_they_are_the_same(monkeypatch):
     assert "# tool number: 2" in second
     assert first.splitlines()[-1] == second.splitlines()[-1]
     jax.block_until_ready(seen[0][0].axes)
+
+
+def test_steps_of_a_plan_are_told_their_own_force(tmp_path):
+    """Discs of one size on a saddle, one of them three times as soft."""
+    text = """
+    schema: 1
+    part: {surface: hyperbolic_paraboloid, size_mm: [50, 50], twist_1_mm: 0.003}
+    machine: mikron_ucp710
+    abrasive: P1200
+    guide: {family: lines, count: 2}
+    start: {scratches: {abrasive: P600, pressure_MPa: 0.05}}
+    process:
+      {tilt_deg: 9, displacement_mm: 0.4, step_mm: 6, trochoid_radius_mm: 6,
+       feed_mm_min: 1000, spindle_rpm: 2000, passes: 1}
+    program: {dialects: []}
+    steps:
+      - {name: hard, tool: {preset: disc_18mm, foundation_N_mm3: 0.3}}
+      - {name: soft, tool: {preset: disc_18mm, foundation_N_mm3: 0.1}}
+    """
+    config = tmp_path / "plan.yaml"
+    config.write_text(textwrap.dedent(text), encoding="utf-8")
+    jobs = [(job(c, first=False), c) for _, c in load(config).steps]
+    made = postprocess.paths([(one.process, one.setup, c) for one, c in jobs])
+    hard, soft = (
+        next(f.sentence for f in one.findings if f.sentence.startswith("The force"))
+        for one in made
+    )
+    hard, soft = (float(re.findall(r"[\d.]+", sentence)[1]) for sentence in (hard, soft))
+    assert hard == pytest.approx(3 * soft, rel=1e-3)

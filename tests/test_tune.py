@@ -211,6 +211,12 @@ def test_starts_lie_in_the_bounds_and_begin_with_the_given_one():
     [
         ({"between": {"tilt": (0.2, 0.3)}}, "must lie between"),
         ({"between": {"lean": (0.0, 1.0)}}, "no setting of `Process`"),
+        ({"between": {}}, "`between` is empty"),
+        (
+            {"target": {"Shine": Goal(1.0, 0.1)}},
+            "`target` has 'Shine', which is no outcome",
+        ),
+        ({"starts": 0}, "`starts` is 0, must be 1 or more"),
         ({"secondary": "beauty"}, "must be 'time', 'force' or 'none'"),
     ],
 )

@@ -13,6 +13,7 @@ from polishopt.files.assemble import job
 from polishopt.files.config import load
 from polishopt.files.results import write_shares
 from polishopt.optimize.variance import sobol_shares, variance_shares
+from polishopt.sensitivity import main
 from polishopt.shares_plot import variance_bars
 
 
@@ -109,3 +110,14 @@ def test_bounds_shrink_on_the_chain():
 def test_samples_are_a_power_of_two(samples):
     with pytest.raises(ValueError, match="power of two"):
         sobol_shares(ishigami, BOX, ["y"], samples=samples)
+
+
+@pytest.mark.parametrize("samples", ["1", "100", "many", str(2**40)])
+def test_the_command_refuses_samples_that_make_no_sense(samples, tmp_path, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["job.yaml", "-o", str(tmp_path / "out"), "--samples", samples])
+    assert left.value.code == 2
+    assert (
+        f"is {samples}, must be a power of two between 2 and 65536"
+        in capsys.readouterr().err
+    )

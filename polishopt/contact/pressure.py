@@ -23,6 +23,11 @@ from ..parts import Process, Scalar, Tool
 TINY = 1e-12
 
 
+def _tiny(x: Scalar) -> float:
+    # in single precision 1 - TINY is 1, and arccos has no slope there
+    return max(TINY, float(jnp.finfo(x.dtype).eps))
+
+
 def immersion(radius: Scalar, tilt: Scalar, displacement: Scalar) -> Scalar:
     r"""Length of the contact segment in the disc plane, s = min(e / sin(theta), 2R) [mm].
 
@@ -79,7 +84,8 @@ def envelope(radius: Scalar, process: Process) -> Scalar:
 
 def _segment_angle(radius: Scalar, reach: Scalar) -> Scalar:
     # half the angle that the contact segment subtends; its corners at 0 and pi are cut
-    return jnp.arccos(jnp.clip(1 - reach / radius, -1 + TINY, 1 - TINY))
+    cosine = 1 - reach / radius
+    return jnp.arccos(jnp.clip(cosine, -1 + _tiny(cosine), 1 - _tiny(cosine)))
 
 
 def flat_area(radius: Scalar, tilt: Scalar, displacement: Scalar) -> Scalar:
@@ -195,7 +201,7 @@ def _rim_angle(process, radius, curvature) -> Scalar:
     below = jnp.where(inside > 0, linear + root, 0.0)
     bounded = below > 2 * depth  # otherwise the rim touches a quarter turn or more
     rise = jnp.where(bounded, 2 * depth / jnp.where(bounded, below, 1.0), 1.0)
-    return jnp.arccos(1 - jnp.clip(rise, TINY, 1.0))
+    return jnp.arccos(1 - jnp.clip(rise, _tiny(rise), 1.0))
 
 
 def patch(

@@ -20,6 +20,8 @@ from ruamel.yaml.reader import ReaderError
 
 # A config holds a few hundred values. Far more means YAML aliases that multiply.
 MOST_VALUES = 20_000
+# A longer text would take minutes to read, comments too.
+MOST_LETTERS = 500_000
 DEEPEST = 30
 # The rest of a longer line helps nobody in an error message.
 WIDEST = 200
@@ -101,7 +103,7 @@ def read_text(path: Path) -> str:
     except FileNotFoundError:
         raise ConfigError([Problem(str(path), "there is no such file")]) from None
     except IsADirectoryError:
-        sentence = "is a folder; name the config file itself"
+        sentence = "is a folder; name the file itself"
         raise ConfigError([Problem(str(path), sentence)]) from None
     except OSError as error:
         sentence = f"cannot be read: {error.strerror or error}"
@@ -124,6 +126,9 @@ def parse(text: str, name: str) -> CommentedMap:
     def fail(place: Place, sentence: str) -> ConfigError:
         return ConfigError([problem(name, text, place, sentence)])
 
+    if len(text) > MOST_LETTERS:
+        sentence = f"holds {len(text)} characters, a config at most {MOST_LETTERS}"
+        raise ConfigError([Problem(name, sentence)])
     try:
         with warnings.catch_warnings():
             # an anchor used twice is no mistake of YAML 1.2
@@ -184,9 +189,11 @@ def survey(document: Any, name: str) -> Survey:
         nonlocal count
         count += 1
         if count > MOST_VALUES or len(at) > DEEPEST:
-            raise ConfigError(
-                [Problem(name, "is nested too deeply, or its aliases multiply")]
+            sentence = (
+                f"holds more than {MOST_VALUES} values, or is nested too deeply; do its "
+                "aliases multiply?"
             )
+            raise ConfigError([Problem(name, sentence)])
         if isinstance(node, CommentedMap):
             result = {}
             for key, value in node.items():

@@ -101,7 +101,7 @@ def override(document: CommentedMap, typed: Sequence[str]) -> dict[Keys, str]:
             continue
         try:
             value = yaml().load(text)
-        except (YAMLError, ValueError) as error:
+        except (YAMLError, ValueError, RecursionError) as error:
             reason = str(getattr(error, "problem", None) or error).partition("\n")[0]
             problems.append(Problem(shown, f"the value is not valid YAML: {reason}"))
             continue

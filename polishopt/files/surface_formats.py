@@ -123,12 +123,13 @@ def read_other(path: Path) -> Topography:
     """The surface in a file of an instrument maker, by way of SurfaceTopography."""
     if not path.exists():
         raise FileNotFoundError(path)
-    kind = path.suffix.lower() or "a file without a suffix"
+    kind = path.suffix.lower()
+    ends = f"ends in '{kind}'" if kind else "has no suffix"
     try:
         from SurfaceTopography import open_topography
     except ImportError:
         sentence = (
-            f"ends in '{kind}', must end in '.x3p' or '.sdf'; other formats need the "
+            f"{ends}, must end in '.x3p' or '.sdf'; other formats need the "
             "package SurfaceTopography: pip install 'polishopt[metrology]'"
         )
         raise TopographyError(path, sentence) from None

@@ -277,6 +277,18 @@ def _far(held: Solution, target: Mapping[str, Goal]):
     return np.max(rows, axis=0)
 
 
+def _sensible(between: Mapping[str, Any], target: Mapping[str, Any], starts: int) -> None:
+    """Refuses what no search can be made of."""
+    if not between:
+        raise ValueError("`between` is empty, must have a setting that may move.")
+    known = {field.name for field in dataclasses.fields(Outcome)}
+    for name in target:
+        if name.rpartition(" ")[2] not in known:
+            raise ValueError(f"`target` has {name!r}, which is no outcome, such as 'Ssk'.")
+    if starts < 1:
+        raise ValueError(f"`starts` is {starts}, must be 1 or more.")
+
+
 def _steps(setup: Setup | Plan) -> tuple[str, ...]:
     """What the steps of a plan are called; nothing for a step alone."""
     return setup.names if isinstance(setup, Plan) else ()
@@ -367,6 +379,7 @@ def tune(
     """
     steps = _steps(setup)
     begin = start if isinstance(start, Process) else tuple(start)
+    _sensible(between, target, starts)
     setup = mapped(setup, target)
     first = {name: float(setting(begin, steps, name)) for name in between}
     for name, (low, high) in between.items():
