@@ -40,7 +40,7 @@ def of_step(tuning: Tuning, job: Job, loaded: Loaded, target: Path, voice: Voice
     if to_relax := relax.relax_table(tuning, job, loaded):
         console.print(to_relax)
     if relax.missed(tuning):
-        console.print(relax.pointer(loaded, target), markup=False, highlight=False)
+        console.print(relax.pointer(loaded, target), highlight=False)
     return int(report.ended(tuning, programs))
 
 
@@ -81,5 +81,5 @@ def of_plan(
     plan_report.show(console, job, outcome, loaded, tuning, spreads, made)
     if tuning is not None and relax.missed(tuning):
         text = relax.pointer(loaded, target, drawn=False)
-        console.print(text, markup=False, highlight=False)
+        console.print(text, highlight=False)
     return plan_report.verdict(job, outcome, tuning, made)[0]

@@ -54,7 +54,7 @@ def main(argv: list[str] | None = None) -> int:
     write_attribution(target / "attribution.csv", split, INNER_UNITS)
     if not given.quiet:
         titles = [one.config.title or one.path.stem for one in loaded]
-        Console().print(attribution_table(split, *titles))
+        Console(markup=False).print(attribution_table(split, *titles))
         print(target / "attribution.csv")
     return 0
 

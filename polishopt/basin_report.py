@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
 from .files.config import Loaded
@@ -32,7 +31,7 @@ def basin_table(found: Sequence[Basin], tuning: Tuning, loaded: Loaded) -> Table
     keys = {key.removesuffix("_" + suffix(key)): key for key in config.tuned()}
     names = {name: keys[key_of(name)] for name in found[0].answer}
     columns = (f"{SYMBOLS[name]} [{label(suffix(key))}]" for name, key in names.items())
-    table = empty_table("Answers", "", "starts", *map(escape, (cost, *columns)))
+    table = empty_table("Answers", "", "starts", cost, *columns)
     for i, basin in enumerate(found[:MOST]):
         value = basin.distance
         if reached:

@@ -154,7 +154,7 @@ def calibrate(
     from .files import assemble
     from .optimize import calibrate as estimation
 
-    console = Console(quiet=quiet)
+    console = Console(quiet=quiet, markup=False)
     constants: list[Constant] = []
     with Console(stderr=True, quiet=quiet).status("calibrating"):
         job = assemble.job(loaded.config)

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -118,7 +117,7 @@ def show(console: Console, found: Sequence[Row], secondary: str) -> None:
         secondary: What was made small.
     """
     made, lines = table(found, secondary, console.width), notes(found)
-    if not {escape(key) for key in found[0].chosen} <= {c.header for c in made.columns}:
+    if not set(found[0].chosen) <= {c.header for c in made.columns}:
         lines = [*listed(found), *lines]
     best = next(row for row in found if row.rank == 1)
     alike = [
@@ -164,11 +163,11 @@ def table(found: Sequence[Row], secondary: str, width: int) -> Table:
     for fewer in (numbers | keys | ends, numbers | ends | settings, numbers | ends):
         if sum(map(_wide, columns.items())) > width:
             columns = fewer
-    made = empty_table("Choices", *map(escape, columns))
+    made = empty_table("Choices", *columns)
     for column, head in zip(made.columns, columns, strict=True):
         column.justify = "left" if head in (*keys, "ended") else "right"
     for row, cells in zip(order, zip(*columns.values(), strict=True), strict=True):
-        made.add_row(*map(escape, cells), style="bold" if row.rank == 1 else "")
+        made.add_row(*cells, style="bold" if row.rank == 1 else "")
     return made
 
 

@@ -135,7 +135,7 @@ def draw(asked: Asked, store) -> int:
     write(asked.target, loaded, target, line, area, answer)
     say(f"{explorer.searches} searches; results are in {asked.target}")
     if line.points and area.low:
-        console.print(summary(line), markup=False)
+        console.print(summary(line))
         return 0
     if (explorer.over <= 0).any():
         print("Not converged: no search ended within its work.", file=sys.stderr)

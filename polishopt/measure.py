@@ -190,7 +190,7 @@ def measure(surface: Topography, given: argparse.Namespace, target: Path) -> Non
     from .files.results import write_json
     from .texture import areal_parameters, scale_limited, standard_errors
 
-    console = Console(quiet=given.quiet)
+    console = Console(quiet=given.quiet, markup=False)
     spacing = jnp.asarray(surface.spacing)
     heights = scale_limited(
         jnp.asarray(surface.heights),

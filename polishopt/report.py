@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from .chain import Outcome
@@ -206,7 +205,7 @@ def show(
     """Prints the tables of an answer.
 
     Args:
-        console: Where to.
+        console: Where to, without rich's markup: names may hold brackets.
         tuning: The answer.
         job: What was asked, assembled.
         loaded: What was asked, as typed.
@@ -275,7 +274,7 @@ def attribution_table(split: Attribution, first: str, second: str) -> Table:
         second: What the second is.
     """
     table = empty_table(
-        escape(f"From {first} (first)\nto {second} (second)"),
+        f"From {first} (first)\nto {second} (second)",
         *("", "first", "second", "change", *split.effects),
     )
     table.collapse_padding, table.pad_edge = True, False
@@ -287,7 +286,7 @@ def attribution_table(split: Attribution, first: str, second: str) -> Table:
         size = max(map(abs, ends))
         digits = max(3 - math.floor(math.log10(size)), 0) if size > 0 else 0
         table.add_row(
-            escape(f"{name.replace('_', ' ')} [{label(unit)}]" if unit else name),
+            f"{name.replace('_', ' ')} [{label(unit)}]" if unit else name,
             *(f"{value:.{digits}f}" for value in ends),
             *(f"{value:+.{digits}f}" for value in (ends[1] - ends[0], *shares)),
         )

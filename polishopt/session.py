@@ -187,13 +187,16 @@ def opening(loaded: Loaded, quiet: bool) -> Voice:
         quiet: Whether to say nothing.
     """
     from rich.console import Console
-    from rich.markup import escape
+    from rich.text import Text
 
-    told, console = Console(stderr=True, quiet=quiet), Console(quiet=quiet)
+    # what people call their steps and folders may hold brackets
+    told = Console(stderr=True, quiet=quiet, markup=False)
+    console = Console(quiet=quiet, markup=False)
     began = time.monotonic()
 
     def say(sentence: str) -> None:
-        told.print(f"[dim]{time.monotonic() - began:5.1f} s[/dim]  {escape(sentence)}")
+        now = f"{time.monotonic() - began:5.1f} s"
+        told.print(Text.assemble((now, "dim"), f"  {sentence}"))
 
     say(f"reading {loaded.path}")
     if loaded.measured:

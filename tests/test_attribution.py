@@ -105,7 +105,7 @@ def test_the_same_job_twice_has_nothing_to_split():
 
 def test_table_and_file(split, tmp_path):
     printed = io.StringIO()
-    console = Console(width=80, file=printed)
+    console = Console(width=80, file=printed, markup=False)
     console.print(attribution_table(split, "plane [old]", "convex"))
     shown = printed.getvalue()
     assert "…" not in shown, "it fits a terminal"

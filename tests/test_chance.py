@@ -276,7 +276,7 @@ def test_spread_is_exact_to_first_order_and_that_of_small_errors(tuned, scattere
 
 
 def test_the_report_names_both_kinds_of_error(tuned, scattered, tmp_path):
-    console = Console(width=80)
+    console = Console(width=80, markup=False)
     job, scatter = (
         dataclasses.replace(JOB, target=TARGET),
         report.Scatter(0.5, {"mean_removal": 1e-5}),

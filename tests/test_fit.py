@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from polishopt.files.config import load
 from polishopt.files.ncode import DIALECTS
 from polishopt.files.topography import read
 from polishopt.fit import main
+from polishopt.session import opening
 from ruamel.yaml import YAML
 
 
@@ -236,3 +238,13 @@ def test_every_command_can_be_interrupted_at_any_time(command):
         check=False,
     )
     assert (ran.returncode, ran.stdout, ran.stderr) == (130, "", "Interrupted.\n")
+
+
+def test_brackets_in_names_are_printed(capsys):
+    """As the names of steps and folders may hold them."""
+    voice = opening(load(CONFIGS / "pessoles2009_plane.yaml"), False)
+    voice.console.print("P600 [fine]")
+    voice.say("results are in out [x]")
+    printed = capsys.readouterr()
+    assert "P600 [fine]" in printed.out
+    assert "results are in out [x]" in printed.err
