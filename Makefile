@@ -90,11 +90,11 @@ check-notebooks/%: $(DEV)
 	  cd notebooks && ../$(RUN) -m jupytext --to ipynb --execute --set-kernel python3 \
 	    --run-path . --output ../build/notebooks/$*.ipynb $*.py
 
-sensitivity: $(DEV)
-	@for config in $(CONFIGS); do \
-	  echo "polishopt.sensitivity $$config"; \
-	  $(RUN) -m polishopt.sensitivity $$config --samples 64 -o build/$$(basename $$config .yaml) || exit 1; \
-	done
+sensitivity: $(CONFIGS:configs/%.yaml=sensitivity/%)
+
+sensitivity/%: $(DEV)
+	@echo "polishopt.sensitivity configs/$*.yaml"; \
+	  $(RUN) -m polishopt.sensitivity configs/$*.yaml --samples 64 -o build/$*
 
 bench: $(CORE)
 	$(RUN) benchmarks/bench_polish.py
