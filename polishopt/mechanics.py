@@ -139,7 +139,8 @@ def along(process: Process, setup: Setup) -> Stations:
         process: The settings.
         setup: The job.
     """
-    s, weight = setup.guide.stations(setup.sampling.stations)
+    one_in = setup.sampling.one_cell_in
+    s, weight = setup.guide.stations(setup.sampling.stations, one_in)
     count, side = setup.sampling.phases, setup.side
     phases = jnp.asarray(2 * np.pi * np.arange(count) / count, dtype=s.dtype)
     machine = placed(setup.machine, process)
@@ -191,7 +192,8 @@ def along(process: Process, setup: Setup) -> Stations:
         # else the axis keeps its distance from the pole
         if not setup.flat or process.wedged:
             _, aside = jax.jvp(lambda s: place_at(process, s, phase).axis, (s,), (one,))
-            cell = jnp.stack([spacing * turning, weight * aside])
+            # a cell that stands for others does so with the pole as it is in each of them
+            cell = jnp.stack([spacing * turning, weight / one_in * aside])
             pace = pole_pace(place.axis, cell, machine)
         dq, ddq = axis_slopes((place.tip, angles), first, second, pace, machine)
         return place, tangent, dq, ddq

@@ -176,7 +176,8 @@ def _fine_maps(process: Process, setup: Setup):
 
 def _closely(setup: Setup) -> Setup:
     """The job with more nodes: the search needs sums over the part, a map wants detail."""
-    return eqx.tree_at(lambda s: s.sampling, setup, FINE)
+    fine = dataclasses.replace(FINE, one_cell_in=setup.sampling.one_cell_in)
+    return eqx.tree_at(lambda s: s.sampling, setup, fine)
 
 
 def _columns(job: Job) -> tuple[str, ...]:

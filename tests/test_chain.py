@@ -314,6 +314,20 @@ def test_default_sampling_is_fine_enough():
     assert_close(got.Sku, want.Sku, rtol=0, atol=1e-3)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("part", ["plane", "convex"])
+def test_a_fine_curve_is_looked_at_here_and_there(part):
+    """Below a third of the disc's radius, work grows with the length, not the cells."""
+    path, fine = CONFIGS / f"pessoles2009_{part}.yaml", "guide.order=6"
+    some = job(load(path, [fine]).config)
+    whole = job(load(path, [fine, "sampling.one_cell_in=1"]).config)
+    assert some.setup.sampling.one_cell_in == 4
+    got, want = (full(one.process, one.setup) for one in (some, whole))
+    for name in ("time", "path_length", "mean_removal", "Sq", "ripple"):
+        assert_close(getattr(got, name), getattr(want, name), rtol=0.01)
+    assert_close(got.spread, want.spread, rtol=0.03)
+
+
 def test_milled_start():
     """Unpolished it is two families of cusps; polishing takes their tops off."""
     mill = MilledSurface(5.0, 1.0, 5 * DEG, 0.0, 0.3, 0.2)

@@ -1,6 +1,7 @@
 """Guides: lattices, lengths, smoothness and quadrature, against independent counts."""
 
 import itertools
+import math
 import time
 
 import equinox as eqx
@@ -312,6 +313,32 @@ def test_stations_sum_to_the_length(guide, nodes):
     assert (np.diff(s) > 0).all()
     assert (np.asarray(weight) > 0).all()
     assert weight.max() <= guide.pitch * (1 + 1e-12)
+
+
+@EACH
+def test_one_cell_stands_for_others(guide):
+    """Any group length, the last group short; each node in the group that it stands for."""
+    count = guide.panels.size - 1
+    for one_in in (2, 5, count + 3):
+        s, weight = guide.stations(2, one_in)
+        groups = -(-count // one_in)
+        assert s.size == 2 * groups
+        ends = guide.pitch * guide.panels[np.minimum(one_in * np.arange(groups + 1), count)]
+        assert_close(weight.reshape(-1, 2).sum(axis=1), jnp.diff(ends), rtol=1e-12)
+        assert (s.reshape(-1, 2) > ends[:-1, None]).all()
+        assert (s.reshape(-1, 2) < ends[1:, None]).all()
+
+
+def test_cells_that_stand_for_others_are_a_fair_sample():
+    """Means over a long curve of corners and straights, of what changes with the cell."""
+    guide = hilbert(4, SQUARE, "smooth", 0.2)
+    wanted = []
+    for one_in in (1, 4):
+        s, weight = guide.stations(4, one_in)
+        p = points(guide, s)
+        seen = jnp.stack([jnp.abs(p.curvature), jnp.cos(p.heading) ** 2, p.position[:, 0]])
+        wanted.append(seen @ weight / jnp.sum(weight))
+    assert_close(wanted[1], wanted[0], rtol=1 / math.sqrt(guide.panels.size / 4))
 
 
 def test_stations_are_one_panel_a_cell():

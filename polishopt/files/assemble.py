@@ -60,6 +60,8 @@ NAMES = {"spindle": "spin"}
 LONG_AGO = 100.0
 # The margin of the worst place, where it is not given, in shorter sides of the part.
 MARGIN = 0.1
+# Cells of the guide that are shorter than this stand for others too, in radii of the disc.
+SMALL = 1 / 3
 # Points along y and x of a milled map: of one period of the cusps, or of five passes
 # tooth by tooth.
 SCALLOP_PIXELS = (64, 64)
@@ -129,11 +131,12 @@ def job(config: StepConfig, first: bool = True) -> Job:
     margin = internal(config.texture)["margin"]
     target = {k: Goal(v.value, v.tolerance, v.at == "worst") for k, v in goals.items()}
     made_surface = surface(config, size)
+    made_guide, made_tool = guide(config, made_surface), tool(config)
     made = jobs.Setup(
         surface=made_surface,
         size=size,
-        guide=guide(config, made_surface),
-        tool=tool(config),
+        guide=made_guide,
+        tool=made_tool,
         abrasive=abrasive(config.abrasive),
         machine=machine(config.machine),
         start=start(config) if first else jobs.Start(),
@@ -146,7 +149,7 @@ def job(config: StepConfig, first: bool = True) -> Job:
             config.part.surface == "plane"
             or (config.part.surface == "sphere_cap" and config.part.radius_mm > 0)
         ),
-        sampling=sampling(config),
+        sampling=sampling(config, float(made_guide.pitch / made_tool.radius)),
         errors=errors(config, first),
     )
     return Job(
@@ -419,11 +422,18 @@ def constant_of(key: str) -> tuple[str, float]:
     return name + bracket + place, to_internal(1.0, unit)
 
 
-def sampling(config: StepConfig) -> jobs.Sampling:
-    """How finely averages are taken."""
+def sampling(config: StepConfig, cell: float) -> jobs.Sampling:
+    """How finely averages are taken.
+
+    Args:
+        config: A checked config.
+        cell: Size of a cell of the guide, in radii of the disc.
+    """
     asked = config.sampling
+    one_in = asked.one_cell_in or max(1, round(SMALL / cell))
     return jobs.Sampling(
         stations=asked.stations_per_cell,
+        one_cell_in=one_in,
         phases=asked.phases,
         rows=asked.rows,
         columns=asked.columns,

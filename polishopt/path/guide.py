@@ -7,6 +7,7 @@ much of it runs which way. `polyline` and `involute` are the two kinds that ther
 """
 
 import abc
+import math
 
 import equinox as eqx
 import jax
@@ -15,6 +16,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..parts import Scalar, as_array, as_scalar
+
+
+GOLDEN = (math.sqrt(5) - 1) / 2
 
 
 class GuidePoint(eqx.Module):
@@ -87,7 +91,9 @@ class Guide(eqx.Module):
         The axis does not turn with the guide, so its corners count as straight.
         """
 
-    def stations(self, per_panel: int) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    def stations(
+        self, per_panel: int, one_in: int = 1
+    ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
         """Nodes of a Gauss-Legendre quadrature along the guide.
 
         The panels end where the curve changes formula, and none is longer than a pitch,
@@ -95,14 +101,26 @@ class Guide(eqx.Module):
 
         Args:
             per_panel: Number of nodes in each panel.
+            one_in: Of so many panels that follow each other one stands for all. Which one
+                changes by the golden ratio, since in a Hilbert curve every fourth cell is
+                alike; a long one is chosen the more often.
 
         Returns:
             Arc lengths of the nodes, ascending [mm], and their weights [mm], which add up
             to the length of the guide.
         """
         nodes, weights = np.polynomial.legendre.leggauss(per_panel)
-        width = jnp.diff(self.panels)
-        s = self.panels[:-1, None] + width[:, None] * as_array((nodes + 1) / 2)[None, :]
+        first = np.arange(0, self.panels.size - 1, one_in)
+        after = np.minimum(first + one_in, self.panels.size - 1)
+        width = self.panels[after] - self.panels[first]
+        chosen = jnp.asarray(first)
+        if one_in > 1:
+            place = as_array(GOLDEN * np.arange(first.size) % 1)
+            within = self.panels[first] + place * width
+            chosen = jnp.searchsorted(self.panels, within, side="right").astype(int) - 1
+            chosen = jnp.clip(chosen, first, after - 1)
+        begin, end = self.panels[chosen], self.panels[chosen + 1]
+        s = begin[:, None] + (end - begin)[:, None] * as_array((nodes + 1) / 2)[None, :]
         weight = width[:, None] * as_array(weights / 2)[None, :]
         return self.pitch * s.reshape(-1), self.pitch * weight.reshape(-1)
 
