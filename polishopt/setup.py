@@ -59,8 +59,6 @@ class Sampling(eqx.Module):
 
     stations: int = eqx.field(static=True, default=2)
     """Nodes along each cell of the guide."""
-    one_cell_in: int = eqx.field(static=True, default=1)
-    """How many cells of the guide one stands for, where they are small beside the disc."""
     phases: int = eqx.field(static=True, default=12)
     """Phases of the loop at each of them."""
     rows: int = eqx.field(static=True, default=3)
@@ -71,6 +69,8 @@ class Sampling(eqx.Module):
     """Pixels of the removal map along y and x."""
     planarisation: int = eqx.field(static=True, default=16)
     """Steps in which the pad law is integrated."""
+    one_cell_in: int = eqx.field(static=True, default=1)
+    """How many cells of the guide one stands for, where they are small beside the disc."""
 
 
 # for pictures and checks
