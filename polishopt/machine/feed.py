@@ -9,6 +9,7 @@ import math
 from typing import SupportsInt
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -121,7 +122,9 @@ def time_law_from_derivatives(
     twice_mean = rate[:-1] + rate[1:]
     moving = spacing > 0.0
     dt = jnp.where(moving, 2.0 * spacing / jnp.where(moving, twice_mean, 1.0), 0.0)
-    code = _limiting(dq, ddq, length_rate, spacing, programmed, limits, b)
+    code = _limiting(
+        *jax.lax.stop_gradient((dq, ddq, length_rate, spacing, programmed, limits, b))
+    )
     imposed = jnp.zeros_like(moving, shape=b.shape)
     imposed = imposed.at[0].set(rest[0]).at[-1].set(rest[1])
     return TimeLaw(

@@ -133,8 +133,8 @@ def _caps(c, d, dq, ddq, length_rate, h, programmed, speed):
     """
     floor = jnp.sqrt(jnp.finfo(h.dtype).tiny)
     asked = jnp.maximum((length_rate / programmed) ** 2, floor)
-    cap = 1.0 / jnp.maximum(jnp.max((dq / speed[None]) ** 2, axis=1), asked)
-    half_way = jnp.max(_middle(*_ends(dq, ddq, speed), h)[0] ** 2, axis=0)
+    cap = 1.0 / jnp.maximum(_largest((dq / speed[None]).T ** 2), asked)
+    half_way = _largest(_middle(*_ends(dq, ddq, speed), h)[0] ** 2)
     wish = 0.5 * (1.0 / asked[:-1] + 1.0 / asked[1:])
     chord = 0.5 * (cap[:-1] + cap[1:])
     fit = jnp.minimum(jnp.minimum(wish, 1.0 / jnp.maximum(half_way, floor)) / chord, 1.0)
@@ -249,6 +249,15 @@ def _follow(lines, c, d, h, cap, backward: bool):
     slope, offset = lines(_pick(c, j), _pick(d, j), h)
     gain, push = jnp.where(free, slope, 0.0), jnp.where(free, offset, cap[into])
     return run(linear, (gain, push), cap[first])
+
+
+def _largest(table):
+    """The largest entry of each column, found first and differentiated alone.
+
+    The derivative of `jnp.max` looks for the entry that equals it. Compiled once more,
+    with other roundings, there may be none, and then it is not a number.
+    """
+    return _pick(table, jnp.argmax(jax.lax.stop_gradient(table), axis=0))
 
 
 def _pick(table, row: Int[Array, " n"]):
