@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from polishopt.parts import Abrasive
-from xla_flags import FLAGS
+from xla_flags import flags
 
 
 def abrasive(**changes):
@@ -33,7 +33,7 @@ def fast_jit(f: Callable) -> Callable:
         "xla_backend_optimization_level": 3,
         "xla_llvm_disable_expensive_passes": False,
     }
-    if "xla_cpu_use_fusion_emitters" in FLAGS:
+    if "xla_cpu_use_fusion_emitters" in flags(0):
         options["xla_cpu_use_fusion_emitters"] = True
     return jit(f, compiler_options=options)
 
