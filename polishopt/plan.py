@@ -91,11 +91,51 @@ def _mechanics(
     done: dict[int, Mechanics] = {}
     for members in groups.values():
         alike = [jobs[i] for i in members]
-        if len(alike) == 1:
-            done[members[0]] = mechanics(*alike[0])
-            continue
         stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *alike)
-        all_of_them = jax.lax.map(lambda job: mechanics(*job), stacked)
+        all_of_them = _each(*stacked)
         for place, i in enumerate(members):
             done[i] = jax.tree.map(lambda leaf, place=place: leaf[place], all_of_them)
     return tuple(done[i] for i in range(len(jobs)))
+
+
+def _plainly(processes: Process, setups: Setup) -> Mechanics:
+    return jax.lax.map(lambda job: mechanics(*job), (processes, setups))
+
+
+@eqx.filter_custom_jvp
+def _each(processes: Process, setups: Setup) -> Mechanics:
+    """Mechanics of steps of one structure, stacked.
+
+    A step's mechanics depend on its own settings only. So its slopes by these are worked
+    out once, however many settings of other steps are differentiated beside them.
+    """
+    return _plainly(processes, setups)
+
+
+@_each.def_jvp
+def _each_jvp(primals, tangents):
+    """Values, and slopes times tangents; as usual where jobs are differentiated too."""
+    (processes, setups), (moves, others) = primals, tangents
+    if jax.tree.leaves(others):
+        return eqx.filter_jvp(_plainly, primals, tangents)
+    changed = [move for move in jax.tree.leaves(moves) if move is not None]
+    moved = jax.tree.map(lambda _, move: move is not None, processes, moves)
+    free, fixed = eqx.partition(processes, moved)
+
+    def slopes(job):
+        free, fixed, setup = job
+        values, structure = jax.tree.flatten(free)
+
+        def at(values):
+            process = eqx.combine(jax.tree.unflatten(structure, list(values)), fixed)
+            return mechanics(process, setup)
+
+        values = jnp.stack(values)
+        return jax.vmap(
+            lambda direction: jax.jvp(at, (values,), (direction,)), out_axes=(None, 0)
+        )(jnp.eye(values.size, dtype=values.dtype))
+
+    done, rows = jax.lax.map(slopes, (free, fixed, setups))
+    steps = jnp.stack(changed, axis=1)
+    turned = jax.tree.map(lambda row: jnp.einsum("ki,ki...->k...", steps, row), rows)
+    return done, turned
