@@ -91,6 +91,39 @@ def test_a_plan_that_does_not_touch_leaves_the_start():
     assert_close(outcome.last.Sq, outcome.steps[0].Sq, rtol=1e-9)
 
 
+def test_slopes_by_jobs_and_by_settings_agree():
+    """By settings alone they are worked out step by step; by the job too, as usual."""
+    job, _ = whole()
+    coarse = Sampling(1, 6, 2, 2, (8, 8), 6)
+    setups = [eqx.tree_at(lambda s: s.sampling, s, coarse) for s in job.plan.setups[:2]]
+
+    def removals(tilts, factor):
+        plan = Plan(
+            job.plan.names[:2],
+            tuple(
+                eqx.tree_at(lambda s: s.abrasive.preston, s, factor * s.abrasive.preston)
+                for s in setups
+            ),
+        )
+        changed = [
+            eqx.tree_at(lambda p: p.tilt, p, tilt)
+            for p, tilt in zip(job.processes[:2], tilts, strict=True)
+        ]
+        return jnp.stack([step.mean_removal for step in follow(changed, plan).steps])
+
+    @jax.jit
+    def slopes(tilts, factor):
+        alone = jax.jacfwd(lambda tilts: removals(tilts, factor))(tilts)
+        return removals(tilts, factor), alone, jax.jacfwd(removals, (0, 1))(tilts, factor)
+
+    tilts = jnp.stack([p.tilt for p in job.processes[:2]])
+    values, alone, (beside, by_factor) = slopes(tilts, jnp.asarray(1.0))
+    assert_close(alone, beside, rtol=1e-10)
+    assert (np.diag(alone) != 0).all()
+    assert_close(alone - np.diag(np.diag(alone)), 0.0)
+    assert_close(by_factor, values, rtol=1e-10)
+
+
 @pytest.mark.slow
 def test_gradient_of_a_plan_with_a_large_patch():
     """12 settings, 256 x 256 points: equal to differences, in less than 1 GB.
