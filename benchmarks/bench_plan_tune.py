@@ -34,8 +34,8 @@ BOUNDS = {
     "step": (0.5, 2.0),
     "trochoid_radius": (3.0, 8.0),
 }
-TARGET = {"1 um Ssk": Goal(-0.5, 0.05), "1 um Sku": Goal(3.45, 0.1)}
-PATIENCE = 20
+TARGET = {"1 um Ssk": Goal(-0.7, 0.05), "1 um Sku": Goal(3.72, 0.1)}
+PATIENCE = 12
 
 
 class OutOfTime(Exception):
