@@ -94,7 +94,7 @@ sensitivity: $(CONFIGS:configs/%.yaml=sensitivity/%)
 
 sensitivity/%: $(DEV)
 	@echo "polishopt.sensitivity configs/$*.yaml"; \
-	  $(RUN) -m polishopt.sensitivity configs/$*.yaml --samples 64 -o build/$*
+	  $(RUN) -m polishopt.sensitivity configs/$*.yaml --samples 32 -o build/$*
 
 bench: $(CORE)
 	$(RUN) benchmarks/bench_polish.py

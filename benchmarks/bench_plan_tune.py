@@ -57,7 +57,9 @@ def main():
     @eqx.filter_jit
     def values(t):
         x = dict(zip(names, low + width * t, strict=True))
-        outcome = follow(applied(job.processes, steps, x), job.plan)
+        changed = applied(job.processes, steps, x)
+        assert isinstance(changed, tuple)
+        outcome = follow(changed, job.plan)
         return (
             jnp.stack(list(all_misses(outcome, TARGET).values())),
             jnp.stack(list(all_excesses(outcome, job.limits).values())),

@@ -84,6 +84,7 @@ def said(path, *changes):
     return [one.sentence for one in remarks(given.process, given.setup)]
 
 
+@pytest.mark.slow
 def test_a_report_tells_what_an_even_sheet_does():
     """On a steep cap; and nothing of a plane."""
     convex = CONFIGS / "pessoles2009_convex.yaml"

@@ -388,6 +388,7 @@ def test_paths_of_a_plan_are_run_once_where_they_are_the_same(monkeypatch):
     jax.block_until_ready(seen[0][0].axes)
 
 
+@pytest.mark.slow
 def test_steps_of_a_plan_are_told_their_own_force(tmp_path):
     """Discs of one size on a saddle, one of them three times as soft."""
     text = """

@@ -143,6 +143,7 @@ def strip_map(process, setup):
     return removal(path, process, setup, STRIP, 16, 48)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("waves", [2, 3, 4])
 def test_ripple_of_a_straight_line_is_as_predicted(waves):
     """The first two harmonics in the middle of one line 10 mm wide."""
