@@ -314,6 +314,16 @@ def test_default_sampling_is_fine_enough():
     assert_close(got.Sku, want.Sku, rtol=0, atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("order", "side", "one_in"), [(4, 50, 1), (5, 50, 2), (7, 50, 8), (4, 8, 1), (6, 8, 16)]
+)
+def test_how_many_cells_one_stands_for(order, side, one_in):
+    """A third of the disc's radius of 9 mm; but 256 are looked at in any case."""
+    size = f"part.size_mm=[{side}, {side}]"
+    given = load(CONFIGS / "pessoles2009_plane.yaml", [f"guide.order={order}", size])
+    assert job(given.config).setup.sampling.one_cell_in == one_in
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["plane", "convex"])
 def test_a_fine_curve_is_looked_at_here_and_there(part):

@@ -60,8 +60,9 @@ NAMES = {"spindle": "spin"}
 LONG_AGO = 100.0
 # The margin of the worst place, where it is not given, in shorter sides of the part.
 MARGIN = 0.1
-# Cells of the guide that are shorter than this stand for others too, in radii of the disc.
-SMALL = 1 / 3
+# Cells of the guide that are shorter than this stand for others too, in radii of the disc;
+# but so many are looked at in any case, that those chosen are a fair sample.
+SMALL, ENOUGH = 1 / 3, 256
 # Points along y and x of a milled map: of one period of the cusps, or of five passes
 # tooth by tooth.
 SCALLOP_PIXELS = (64, 64)
@@ -149,7 +150,7 @@ def job(config: StepConfig, first: bool = True) -> Job:
             config.part.surface == "plane"
             or (config.part.surface == "sphere_cap" and config.part.radius_mm > 0)
         ),
-        sampling=sampling(config, float(made_guide.pitch / made_tool.radius)),
+        sampling=sampling(config, made_guide, made_tool),
         errors=errors(config, first),
     )
     return Job(
@@ -422,15 +423,18 @@ def constant_of(key: str) -> tuple[str, float]:
     return name + bracket + place, to_internal(1.0, unit)
 
 
-def sampling(config: StepConfig, cell: float) -> jobs.Sampling:
+def sampling(config: StepConfig, curve: Guide, disc: Tool) -> jobs.Sampling:
     """How finely averages are taken.
 
     Args:
         config: A checked config.
-        cell: Size of a cell of the guide, in radii of the disc.
+        curve: The guide.
+        disc: The tool.
     """
     asked = config.sampling
-    one_in = asked.one_cell_in or max(1, round(SMALL / cell))
+    alike = round(SMALL * float(disc.radius / curve.pitch))
+    most = (curve.panels.size - 1) // ENOUGH
+    one_in = asked.one_cell_in or max(1, min(alike, most))
     return jobs.Sampling(
         stations=asked.stations_per_cell,
         one_cell_in=one_in,

@@ -77,8 +77,8 @@ class Sampling(Section):
     """Nodes along each cell of the guide curve."""
     one_cell_in: Annotated[int, Between("[1, 4096]")] | None = None
     """How many cells that follow each other one stands for. By default as many as are a
-    third of the disc's radius long: below that, a finer curve takes time like its length,
-    not like its cells."""
+    third of the disc's radius long, while 256 are looked at: a finer curve then takes time
+    like its length, not like its cells."""
     phases: Annotated[int, Between("[4, 1024]")] = 12
     """Phases of the trochoid's loop at each of them."""
     rows: Annotated[int, Between("[1, 1024]")] = 3
