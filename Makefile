@@ -34,7 +34,9 @@ help:
 	@echo 'PYTHON=python3.12 make ... uses another Python; the environment is .venv/<version>.'
 
 # A file on disk stands for each environment, so that a second call has nothing to do.
-# The development packages hold the core ones: where they are in, core is in too.
+# The development packages hold the core ones: where they are in, core is in too. Byte code
+# is made on all cores, which pip does on one; what is no Python in a package stays as it is.
+COMPILE = $(RUN) -m compileall -qq -j 0 $(VENV)/lib || true
 
 python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
@@ -46,13 +48,15 @@ $(VENV)/bin/pip: | python
 	$(PYTHON) -m venv $(VENV)
 
 $(DEV): requirements-dev.lock pyproject.toml | $(VENV)/bin/pip
-	$(RUN) -m pip install --quiet --require-hashes -r requirements-dev.lock
+	$(RUN) -m pip install --quiet --no-compile --require-hashes -r requirements-dev.lock
 	$(RUN) -m pip install --quiet --no-deps -e .
+	@$(COMPILE)
 	@touch $(CORE) $@
 
 $(CORE): requirements.lock pyproject.toml | $(VENV)/bin/pip
-	$(RUN) -m pip install --quiet --require-hashes -r requirements.lock
+	$(RUN) -m pip install --quiet --no-compile --require-hashes -r requirements.lock
 	$(RUN) -m pip install --quiet --no-deps -e .
+	@$(COMPILE)
 	@touch $@
 
 fit: $(CORE)

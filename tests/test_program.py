@@ -307,6 +307,7 @@ def test_a_path_that_cannot_be_run_leaves_no_program(tmp_path, capsys):
     assert not target.exists() or files(target) == []
 
 
+@pytest.mark.slow
 def test_fit_does_not_search_where_a_clamped_axis_has_to_move(tmp_path, capsys):
     target = tmp_path / "new"
     clamped = load(CONFIG, [*SMALL, "machine.axes.C.speed_rpm=0"])
