@@ -11,10 +11,10 @@ while that constraint does not improve, and a scale of its own, its gradient at 
 so that its unit of measure does not matter. Residuals are used as they are: give them a
 size of about one.
 
-The loop is flat: a turn is one trial point (`box`), and where the inner problem is solved
-well enough the multipliers change on the spot, without a new evaluation (`outer`). Under
-`vmap` no start waits for another one's inner problem. Other solvers of optimistix may take
-the place of `box`; then a turn is one of their solves (`adapted`).
+The loop is flat: a turn is one trial point (`walk`, `box`), and where the inner problem is
+solved well enough the multipliers change on the spot, without a new evaluation (`outer`).
+Under `vmap` no start waits for another one's inner problem. Other solvers of optimistix may
+take the place of `box`; then a turn is one of their solves (`adapted`).
 
 Where nothing is feasible near, the answer is a point of least violation and says so. The
 answer can be differentiated, by the implicit function theorem (`implicit`).
@@ -27,17 +27,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree
 
 from .adapted import CROSSOVER, ROUNDS, Adapted
-from .box import BoxLevenbergMarquardt, widths
-from .certificate import Solution, Status, certify
+from .box import BoxLevenbergMarquardt, slopes
+from .certificate import Solution
 from .implicit import tangent
-from .outer import LOOSE, Outer, outer_step
-from .penalty import Duals, Problem
-from .steering import steered
+from .penalty import Problem
 from .values import Values
+from .walk import Rules, ended, over, problem_of, proposed, set_out, taken_in
 
 
 Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
@@ -93,7 +91,7 @@ def solve(
     Source: Birgin & Martinez (2014), Practical augmented Lagrangian methods, algorithm 4.1.
     """
     parts = _gathered(residual, inequality, equality, args, "residual")
-    options = _Options(solver, tolerance, max_outer, max_inner)
+    options = _Options(solver, Rules(tolerance, max_outer, max_inner))
     return _prepared(parts, start, lower, upper, unit, options)
 
 
@@ -139,7 +137,7 @@ def minimise(
         ValueError: if the solver is one for least squares only.
     """
     parts = _gathered(objective, inequality, equality, args, "objective")
-    options = _Options(solver, tolerance, max_outer, max_inner)
+    options = _Options(solver, Rules(tolerance, max_outer, max_inner))
     return _prepared(parts, start, lower, upper, unit, options)
 
 
@@ -147,9 +145,7 @@ class _Options(eqx.Module):
     """How to solve; nothing of it is differentiated."""
 
     solver: Any
-    tolerance: float | None
-    max_outer: int
-    max_inner: int
+    rules: Rules
 
 
 def _gathered(first, inequality, equality, args, role):
@@ -192,93 +188,34 @@ def _prepared(parts, start, lower, upper, unit, options: _Options) -> Solution:
 
 def _problem(parts, box, start, unit) -> Problem:
     """The order of the flat values."""
-    shapes = jax.eval_shape(parts, start)
-    point, unravel = ravel_pytree(start)
-    low, high = (ravel_pytree(bound)[0] for bound in box)
-    zeros = jax.tree.map(lambda s: jnp.zeros(s.shape, point.dtype), shapes)
-    _, sort = ravel_pytree(zeros)
-    sizes = [sum(leaf.size for leaf in jax.tree.leaves(part)) for part in shapes]
-    return Problem(
-        residuals=sizes[0],
-        objectives=sizes[1],
-        inequalities=sizes[2],
-        constraints=sizes[2] + sizes[3],
-        unit=ravel_pytree(unit)[0].astype(point.dtype),
-        lower=low,
-        upper=high,
-        width=widths(point, low, high),
-        place=unravel,
-        sort=sort,
-    )
+    return problem_of(jax.eval_shape(parts, start), start, *box, unit)
 
 
 @eqx.filter_custom_jvp
 def _answer(parts, box, start, unit, *, options: _Options) -> Solution:
     """The loop, on one function of the unknowns."""
-    problem = _problem(parts, box, start, unit)
-    dtype = problem.lower.dtype
-    epsilon = float(jnp.finfo(dtype).eps)
-    sharp = options.tolerance is None
-    goal = 0.5 * epsilon**0.5 if options.tolerance is None else options.tolerance
-    max_inner = options.max_inner
+    problem, rules = _problem(parts, box, start, unit), options.rules
+    other, solver = None, options.solver
+    if solver is not None and not isinstance(solver, BoxLevenbergMarquardt):
+        other = Adapted(solver, problem, rules.max_inner)
 
-    def functions(x, _):
-        return parts(x), None
-
-    solver, other = options.solver or BoxLevenbergMarquardt(), None
-    if not isinstance(solver, BoxLevenbergMarquardt):
-        other, solver = Adapted(solver, problem, max_inner), BoxLevenbergMarquardt()
-    how = {
-        "lower": box[0],
-        "upper": box[1],
-        "scale": problem.place(problem.width),
-        "weigh": problem.weigh,
-        "lead": problem.lead,
-        "firm": jnp.arange(problem.plain + problem.constraints) >= problem.plain,
-        "choose": lambda duals, *rest: steered(problem, duals, *rest),
-    }
-
-    def turn(carry):
-        x, state, outer, count, work = carry
-        spent, most = 1, max_inner
+    def turn(walk):
+        most = None
         if other is not None:
-            near = outer.loose < CROSSOVER
-            x, state, spent = other.inner(parts, x, outer, state, (count == 0) | near)
-            most = jnp.where(near, max_inner, ROUNDS)
-        x, state, _ = solver.step(functions, x, outer.duals, how, state, frozenset())
-        outer = eqx.tree_at(lambda o: o.duals, outer, state.judged)
-        fresh, penalty = problem.first(state)
-        opened = eqx.tree_at(lambda o: (o.duals, o.penalty), outer, (fresh, penalty))
-        outer = jax.tree.map(lambda a, b: jnp.where(count == 0, a, b), opened, outer)
-        state = solver.measured(x, outer.duals, how, state)
-        state, outer = outer_step(problem, x, state, outer, goal, sharp, most)
-        return x, state, outer, count + 1, work + spent
+            most = jnp.where(walk.outer.loose < CROSSOVER, rules.max_inner, ROUNDS)
+        values, columns, _ = slopes(lambda x: (parts(x), None), walk.trial.y, problem.width)
+        walk = taken_in(problem, rules, walk, values, columns, most)
+        if other is None:
+            return proposed(problem, rules, walk)
+        skip = (walk.outer.loose < CROSSOVER) | over(rules, walk)
+        x, state, spent = other.inner(parts, walk.x, walk.outer, walk.state, skip)
+        walk = eqx.tree_at(lambda w: (w.x, w.state), walk, (x, state))
+        return proposed(problem, rules, walk, spent)
 
-    none, one = jnp.zeros(problem.constraints, dtype), jnp.ones((), dtype)
-    blank = jnp.zeros(problem.plain + problem.constraints, dtype)
-    outer = Outer(
-        duals=Duals(none + 1, none, none + 1, one, one, *[jnp.array(False)] * 2),
-        pulls=blank,
-        penalty=one,
-        loose=LOOSE * one,
-        error=none + jnp.inf,
-        violation=jnp.inf * one,
-        failures=jnp.array(0),
-        inner=jnp.array(-1),
-        steps=jnp.array(0),
-        polish=jnp.array(0),
-        status=jnp.array(-1),
+    walk = jax.lax.while_loop(
+        lambda walk: ~over(rules, walk), turn, set_out(problem, start)
     )
-    shapes = jax.eval_shape(parts, start)
-    state = solver.init(functions, start, outer.duals, how, shapes, None, frozenset())
-    x, state, outer, count, work = jax.lax.while_loop(
-        lambda carry: (carry[2].status < 0) & (carry[2].steps < options.max_outer),
-        turn,
-        (start, state, outer, jnp.array(0), jnp.array(0)),
-    )
-    status = jnp.where(outer.status < 0, Status.WORK_LIMIT.value, outer.status)
-    counts = (outer.steps, count - 1, work)
-    return certify(problem, x, state, outer.duals, outer.pulls, goal, counts, status)
+    return ended(problem, rules, walk)
 
 
 @_answer.def_jvp

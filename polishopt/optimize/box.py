@@ -51,8 +51,19 @@ class BoxState(eqx.Module):
     """Largest entry of the projected gradient, per width of the box."""
     magnitude: Scalar
     """Largest sum of the gradient's terms, each without its sign."""
-    judged: PyTree
-    """The arguments that the latest step was judged by, if `choose` may change them."""
+
+
+class Trial(eqx.Module):
+    """A point to be evaluated, and why it was chosen."""
+
+    y: PyTree
+    """The point, in the structure and the units of the unknowns."""
+    step: Float[Array, " n"]
+    """How it was reached from the present one, in widths of the box."""
+    promised: Scalar
+    """Change of the merit that the model expects of it."""
+    args: PyTree
+    """The arguments that it is judged by, which `choose` may have changed."""
 
 
 class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
@@ -98,19 +109,24 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             finite=jnp.array(True),
             optimality=jnp.inf * one,
             magnitude=one,
-            judged=args if "choose" in options else None,
         )
 
     def step(self, fn, y, args, options, state, tags) -> tuple[PyTree, BoxState, Any]:
-        """One trial point: one evaluation, and a Jacobian if the point is kept."""
+        """One trial point, with values and slopes in one evaluation."""
         del tags
+        trial = self.propose(y, args, options, state)
+        values, columns, aux = slopes(lambda x: fn(x, args), trial.y, state.scale)
+        y, state = self.judge(y, options, state, trial, values, columns)
+        return y, state, aux
+
+    def propose(self, y, args, options, state: BoxState) -> Trial:
+        """The next point to evaluate: at first the start itself."""
         point, restore = ravel_pytree(y)
         (lower, upper), scale = bounds(y, options), state.scale
         low = jnp.maximum((lower - point) / scale, -state.radius)
         high = jnp.minimum((upper - point) / scale, state.radius)
         if "choose" in options:
             step, promised, args = options["choose"](args, state, low, high)
-            merit = merit_of(args, options, state.values)
         else:
             merit = merit_of(args, options, state.values)
             step, promised = least_of_model(
@@ -122,16 +138,31 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         trial = jnp.where(step <= (lower - point) / scale, lower, trial)
         trial = jnp.where(step >= (upper - point) / scale, upper, trial)
         trial = jnp.where(state.first, jnp.clip(point, lower, upper), trial)
+        return Trial(restore(trial), step, promised, args)
 
-        def flat(x):
-            out, aux = fn(restore(x), args)
-            return ravel_pytree(out)[0].astype(point.dtype), aux
+    def judge(
+        self,
+        y,
+        options,
+        state: BoxState,
+        trial: Trial,
+        values: Float[Array, " m"],
+        columns: Float[Array, "m n"],
+    ) -> tuple[PyTree, BoxState]:
+        """The point that is kept, and what is known there.
 
-        # values and slopes in one go: nothing has to be stored between them
-        values, columns, aux = jax.vmap(
-            lambda direction: jax.jvp(flat, (trial,), (direction,), has_aux=True),
-            out_axes=(None, 1, None),
-        )(jnp.diag(scale))
+        Args:
+            y: The point that the trial was proposed at.
+            options: As in `step`.
+            state: What was known at `y`.
+            trial: From `propose`.
+            values: What the function returned at the trial point.
+            columns: Its derivative there, per `scale`.
+        """
+        point, restore = ravel_pytree(y)
+        there, _ = ravel_pytree(trial.y)
+        step, promised, args = trial.step, trial.promised, trial.args
+        merit = merit_of(args, options, state.values)
         old, new = merit(state.values), merit(values)
         # a decrease below rounding cannot be told from none: it counts as kept
         noise = merit.noise(state.values)
@@ -142,7 +173,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         jacobian = jnp.where(keep, columns, state.jacobian)
         finite = finite & jnp.all(jnp.isfinite(jacobian))
         keep = keep & (finite | state.first)
-        moved = (trial - point) / scale
+        moved = (there - point) / state.scale
         # a point near by tells how the values bend, kept or not
         told = keep | (jnp.max(jnp.abs(step)) <= NEARBY)
         told = told & ~state.first & finite & jnp.all(jnp.isfinite(columns))
@@ -162,9 +193,9 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         )
         radius = jnp.where(finite & (share > 0.25), grown, SHRINK * length)
         radius = jnp.where(state.first, state.radius, radius)
-        point = jnp.where(keep, trial, point)
+        point = jnp.where(keep, there, point)
         state = BoxState(
-            scale=scale,
+            scale=state.scale,
             first=jnp.array(False),
             values=jnp.where(keep, values, state.values),
             jacobian=jnp.where(keep, jacobian, state.jacobian),
@@ -173,10 +204,9 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             finite=finite,
             optimality=state.optimality,
             magnitude=state.magnitude,
-            judged=args if "choose" in options else None,
         )
         y = restore(point)
-        return y, self.measured(y, args, options, state), aux
+        return y, self.measured(y, args, options, state)
 
     def measured(self, y, args, options, state) -> BoxState:
         """The state with its optimality, under the present `args`."""
@@ -242,6 +272,23 @@ def pulls(
         firm & (steep > 0) & (size > 0), HARDEST * steep / positive(size), jnp.inf
     )
     return jnp.clip(pull, -most, most)
+
+
+def slopes(fn, y, scale) -> tuple[Float[Array, " m"], Float[Array, "m n"], Any]:
+    """Flat values of a function with auxiliary output, and their derivative per `scale`.
+
+    In one go: nothing has to be stored between values and slopes.
+    """
+    point, restore = ravel_pytree(y)
+
+    def flat(x):
+        out, aux = fn(restore(x))
+        return ravel_pytree(out)[0].astype(point.dtype), aux
+
+    return jax.vmap(
+        lambda direction: jax.jvp(flat, (point,), (direction,), has_aux=True),
+        out_axes=(None, 1, None),
+    )(jnp.diag(scale))
 
 
 def stalled(state: BoxState) -> Bool[Array, ""]:
