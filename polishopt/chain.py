@@ -4,8 +4,10 @@ A step is mechanics first, which no texture changes, and then texture: what it m
 surface it finds. So a plan of several steps hands nothing on but the surface.
 """
 
-import equinox as eqx
+from typing import NamedTuple
+
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from .mechanics import Mechanics, mechanics
 from .parts import Process, Scalar
@@ -42,6 +44,46 @@ class Outcome(Mechanics):
     """The texture at every place, `[y, x]`; None unless the setup asks for it."""
 
 
+class Worn(NamedTuple):
+    """What a step leaves of a height map."""
+
+    heights: Float[Array, "ny nx"]
+    """The map [mm]."""
+    rest: Cumulants
+    """Cumulants of what the roughness filter lets through [mm^2, mm^3, mm^4]."""
+
+
+def worn(
+    setup: Setup,
+    heights: Float[Array, "ny nx"],
+    spacing: Float[Array, "2"],
+    pressure: Scalar,
+    removal: Scalar,
+) -> Worn:
+    """What a step leaves of a height map.
+
+    Args:
+        setup: Abrasive, roughness filter and sampling are read.
+        heights: The map as the step finds it, periodic [mm].
+        spacing: Distance of its points along y and x [mm].
+        pressure: Mean contact pressure [MPa].
+        removal: Mean height removed [mm].
+    """
+    abrasive = setup.abrasive
+    heights = planarise(
+        heights,
+        removal,
+        pressure,
+        asperity_stiffness(abrasive),
+        abrasive.conformity,
+        spacing,
+        setup.sampling.planarisation,
+    )
+    waves = wavelengths(heights, spacing)
+    passed = 1 - gaussian_transmission(waves, setup.roughness_cutoff)
+    return Worn(heights, cumulants(transmit(heights, passed)))
+
+
 def polish(process: Process, setup: Setup) -> Outcome:
     """What one polishing step does: force, time, removal and the finished texture.
 
@@ -62,15 +104,18 @@ def polish(process: Process, setup: Setup) -> Outcome:
     return finish(mechanics(process, setup), setup, setup.start)
 
 
-def finish(done: Mechanics, setup: Setup, start: Start) -> Outcome:
+def finish(
+    done: Mechanics, setup: Setup, start: Start, wear: Worn | None = None
+) -> Outcome:
     """The texture that a step leaves, given what it does to the part.
 
     Args:
         done: From `mechanics`.
         setup: Abrasive, roughness filter and sampling are read.
         start: The surface that the step finds.
+        wear: What is left of its height map, if that is known already.
     """
-    rest, left = evolved(setup, start, done.pressure, done.mean_removal)
+    rest, left = evolved(setup, start, done.pressure, done.mean_removal, wear)
     *earlier, own = left.scratches
     old = Start(tuple(earlier), spacing=left.spacing).total
     parts = (rest, old, own.cumulants, done.waves.cumulants)
@@ -138,7 +183,11 @@ def local_texture(
 
 
 def evolved(
-    setup: Setup, start: Start, pressure: Scalar, removal: Scalar
+    setup: Setup,
+    start: Start,
+    pressure: Scalar,
+    removal: Scalar,
+    wear: Worn | None = None,
 ) -> tuple[Cumulants, Start]:
     """What a step makes of a surface, ripple apart.
 
@@ -147,6 +196,7 @@ def evolved(
         start: The surface that the step finds.
         pressure: Mean contact pressure [MPa].
         removal: Mean height removed [mm].
+        wear: What is left of its height map, if that is known already.
 
     Returns:
         Cumulants of what the roughness filter lets through of the start map's rest, and
@@ -158,21 +208,9 @@ def evolved(
         *(decay(old, removal, rate, abrasive.conformity) for old in start.scratches),
         groove_population(abrasive, pressure, removal),
     )
-    zero = jnp.zeros_like(removal)
-    rest = Cumulants(zero, zero, zero)
-    heights, spacing = start.heights, start.spacing
-    if heights is not None:
-        heights = planarise(
-            heights,
-            removal,
-            pressure,
-            asperity_stiffness(abrasive),
-            abrasive.conformity,
-            spacing,
-            setup.sampling.planarisation,
-        )
-        waves = wavelengths(heights, spacing)
-        rest = cumulants(
-            transmit(heights, 1 - gaussian_transmission(waves, setup.roughness_cutoff))
-        )
-    return rest, Start(scratches, heights, spacing)
+    if start.heights is None:
+        zero = jnp.zeros_like(removal)
+        return Cumulants(zero, zero, zero), Start(scratches, spacing=start.spacing)
+    if wear is None:
+        wear = worn(setup, start.heights, start.spacing, pressure, removal)
+    return wear.rest, Start(scratches, wear.heights, start.spacing)

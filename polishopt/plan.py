@@ -10,8 +10,9 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from .chain import Outcome, finish
+from .chain import Outcome, Worn, finish, worn
 from .mechanics import Mechanics, mechanics
 from .parts import Process, Scalar
 from .setup import Setup, Start
@@ -62,17 +63,93 @@ def follow(processes: Sequence[Process], plan: Plan) -> PlanOutcome:
     Raises:
         ValueError: if there are not as many processes as steps.
     """
+    return _followed(processes, plan, forward=False)
+
+
+def follow_forward(processes: Sequence[Process], plan: Plan) -> PlanOutcome:
+    """As `follow`, for slopes in forward mode by many settings at once.
+
+    Whatever the settings are, they reach the height map by the pressures and removals of
+    the steps that came before. Slopes by these are worked out once, and those by settings
+    are sums of them: in a plan of seven steps with 28 settings a step carries 2 to 14 maps
+    instead of 28. In reverse mode `follow` is the faster one.
+
+    Args:
+        processes: As in `follow`.
+        plan: As in `follow`.
+
+    Raises:
+        ValueError: as `follow`.
+    """
+    return _followed(processes, plan, forward=True)
+
+
+def _followed(processes: Sequence[Process], plan: Plan, forward: bool) -> PlanOutcome:
     if len(processes) != len(plan.setups):
         raise ValueError(
             f"`processes` has {len(processes)} entries, must have one for each of the "
             f"{len(plan.setups)} steps."
         )
-    start, outcomes = plan.setups[0].start, []
-    for done, setup in zip(_mechanics(processes, plan.setups), plan.setups, strict=True):
-        outcome = finish(done, setup, start)
+    start, outcomes, wears = plan.setups[0].start, [], [None] * len(plan.setups)
+    mechanics = _mechanics(processes, plan.setups)
+    if forward and start.heights is not None:
+        bare = [eqx.tree_at(lambda s: s.start, setup, Start()) for setup in plan.setups]
+        strains = jnp.stack([jnp.stack([m.pressure, m.mean_removal]) for m in mechanics])
+        wears = _all_worn(strains, tuple(bare), start.heights, start.spacing)
+    for done, setup, wear in zip(mechanics, plan.setups, wears, strict=True):
+        outcome = finish(done, setup, start, wear)
         outcomes.append(outcome)
         start = outcome.left
     return PlanOutcome(plan.names, tuple(outcomes))
+
+
+@eqx.filter_custom_jvp
+def _all_worn(
+    strains: Float[Array, "steps 2"],
+    setups: tuple[Setup, ...],
+    heights: Float[Array, "ny nx"],
+    spacing: Float[Array, "2"],
+) -> tuple[Worn, ...]:
+    """What each step leaves of a height map, given its pressure and removal [MPa, mm]."""
+    return _worn_one_by_one(strains, setups, heights, spacing)
+
+
+def _worn_one_by_one(strains, setups, heights, spacing) -> tuple[Worn, ...]:
+    found = []
+    for (pressure, removal), setup in zip(strains, setups, strict=True):
+        found.append(worn(setup, heights, spacing, pressure, removal))
+        heights = found[-1].heights
+    return tuple(found)
+
+
+@_all_worn.def_jvp
+def _all_worn_jvp(primals, tangents):
+    """Slopes by the pressures and removals so far, handed on with the map."""
+    strains, setups, heights, spacing = primals
+    moves, *others = tangents
+    if jax.tree.leaves(others):
+        return eqx.filter_jvp(_worn_one_by_one, primals, tangents)
+    found, turned = [], []
+    # slopes of the map, by pressure and removal of each step that it has been through
+    carried = jnp.zeros((0, *heights.shape), heights.dtype)
+    for i, ((pressure, removal), setup) in enumerate(zip(strains, setups, strict=True)):
+        count = len(carried)
+        maps = jnp.pad(carried, ((0, 2), (0, 0), (0, 0)))
+        own = jnp.eye(count + 2, dtype=heights.dtype)[:, count:]
+
+        def one(direction, by, heights=heights, at=(pressure, removal), setup=setup):
+            return jax.jvp(
+                lambda z, p, h: worn(setup, z, spacing, p, h),
+                (heights, *at),
+                (direction, by[0], by[1]),
+            )
+
+        left, rows = jax.vmap(one, out_axes=(None, 0))(maps, own)
+        heights, carried = left.heights, rows.heights
+        by = moves[: i + 1].reshape(-1)
+        found.append(left)
+        turned.append(jax.tree.map(lambda row, by=by: jnp.tensordot(by, row, 1), rows))
+    return tuple(found), tuple(turned)
 
 
 def _mechanics(

@@ -15,11 +15,12 @@ import os
 import pickle
 import platform
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
@@ -41,8 +42,9 @@ PLAIN = {
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
+
 _folder: Path | None = None
-_made: dict[Callable[..., Any], "_Stored"] = {}
+_made: dict[Callable[..., Any], "Stored"] = {}
 
 
 def keep_in(folder: Path | None) -> None:
@@ -56,7 +58,7 @@ def keep_in(folder: Path | None) -> None:
     _folder = folder
 
 
-def stored(f: Callable[Given, Result]) -> Callable[Given, Result]:
+def stored(f: Callable[Given, Result]) -> "Stored[Given, Result]":
     """A function compiled as by `equinox.filter_jit`, but once for many runs.
 
     Inside another transformation, where nothing is kept, and for functions without a name
@@ -65,58 +67,128 @@ def stored(f: Callable[Given, Result]) -> Callable[Given, Result]:
     Args:
         f: A function of a module of this package. What it does may depend on nothing but
             its arguments and the source of the package.
+
+    Returns:
+        The function; its `ahead` has a program made in the background.
     """
-    return _made.setdefault(f, _Stored(f))
+    return _made.setdefault(f, Stored(f))
 
 
-class _Stored:
+class _Program(NamedTuple):
+    """A compiled function of arrays, and how its result is put together."""
+
+    run: Callable[[list[Any]], list[Any]]
+    """From the arrays of the arguments to those of the result."""
+    found: Any
+    """A pytree like the arrays of the result."""
+    rest: Any
+    """What of the result is no array."""
+    shapes: list[Any]
+    """Shapes and types of its arrays."""
+
+    def result(self, leaves: list[Any]) -> Any:
+        """The result, from its arrays or from their shapes."""
+        found = jax.tree.unflatten(jax.tree.structure(self.found), leaves)
+        return eqx.combine(found, self.rest)
+
+
+class _Made(NamedTuple):
+    """A program that may still be compiling."""
+
+    outline: Callable[[], Any]
+    """Its result, arrays by their shapes."""
+    program: Future[_Program]
+
+
+class Stored(Generic[Given, Result]):
     """A function with the programs that were made of it, by structure and shapes."""
 
-    def __init__(self, f: Callable[..., Any]):
+    def __init__(self, f: Callable[Given, Result]):
+        """No program yet; use `stored`, which keeps one of these for each function.
+
+        Args:
+            f: As in `stored`.
+        """
         jit: Any = eqx.filter_jit
         self.f = f
         # options are for the outermost program only
         self.inside = jit(f)
         self.jitted = functools.cache(lambda: jit(f, compiler_options=_plain()))
-        self.programs: dict[str, Callable[..., Any]] = {}
+        self.made: dict[Hashable, _Made] = {}
         self.lock = threading.Lock()
         functools.update_wrapper(self, f)
 
-    def __call__(self, *args, **kwargs):
+    def __call__(self, *args: Given.args, **kwargs: Given.kwargs) -> Result:
+        """What the function returns."""
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((args, kwargs))):
             return self.inside(*args, **kwargs)
-        if _folder is None:
+        made, arrays = self._find(args, kwargs)
+        if made is None:
             return self.jitted()(*args, **kwargs)
+        program = made.program.result()
+        return program.result(program.run(arrays))
+
+    def ahead(self, *args, **kwargs) -> Any:
+        """Traces for a later call, and has its program compiled in the background.
+
+        Args:
+            args: As in that call; arrays may be given by their shapes.
+            kwargs: The same by name.
+
+        Returns:
+            What that call will return, arrays by their shapes.
+        """
+        made, _ = self._find(args, kwargs)
+        if made is None:
+            return eqx.filter_eval_shape(self.inside, *args, **kwargs)
+        return made.outline()
+
+    def _find(self, args, kwargs) -> tuple[_Made | None, list[Any]]:
+        """The program for a call and the arrays it takes; None where it has no name."""
         arrays, fixed = eqx.partition((args, kwargs), _is_array)
         arrays, structure = jax.tree.flatten(arrays)
-        try:
-            key = self.key(fixed, arrays)
-        except (pickle.PicklingError, AttributeError, TypeError):
-            # given something that has no name outside this run
-            return self.jitted()(*args, **kwargs)
         with self.lock:
-            program = self.programs.get(key)
-            if program is None:
-                program = _read(_folder / key)
-                with suppress(jax.errors.JaxRuntimeError):
-                    # one that was badly kept does not run: it is made again
-                    if program is not None:
-                        result = program(arrays)
-                        self.programs[key] = program
-                        return result
-                program = self.compile(fixed, arrays, structure, _folder / key)
-                self.programs[key] = program
-        return program(arrays)
+            quick = _quick(_folder, structure, fixed, arrays)
+            made = None if quick is None else self.made.get(quick)
+            if made is None:
+                try:
+                    key = self._key(fixed, arrays, structure)
+                except (pickle.PicklingError, AttributeError, TypeError):
+                    # given something that has no name outside this run
+                    return None, arrays
+                made = self.made.get((_folder, key)) or self._make(
+                    key, fixed, arrays, structure
+                )
+                self.made[_folder, key] = made
+                if quick is not None:
+                    self.made[quick] = made
+        return made, arrays
 
-    def key(self, fixed, arrays) -> str:
+    def _key(self, fixed, arrays, structure) -> str:
         name = f"{self.f.__module__}.{self.f.__qualname__}"
         if "<" in name:
             raise TypeError("A lambda or a function within another has no name.")
         kinds = [(a.shape, str(a.dtype), getattr(a, "weak_type", False)) for a in arrays]
-        made = _canonical((fixed, kinds))
+        # `fixed` has None both where an array is and where nothing is
+        places = jax.tree.unflatten(structure, [0] * len(arrays))
+        made = _canonical((fixed, places, kinds))
         return f"{name}-{hashlib.sha256(made + surroundings()).hexdigest()[:32]}"
 
-    def compile(self, fixed, arrays, structure, path: Path) -> Callable[..., Any]:
+    def _make(self, key: str, fixed, arrays, structure) -> _Made:
+        """Reads a program, or traces it and has it compiled in the background."""
+        path = None if _folder is None else _folder / key
+
+        def anew() -> _Made:
+            return self._compile(key, fixed, arrays, structure, path)
+
+        kept = None if path is None else _read(path)
+        if kept is None:
+            return anew()
+        ready: Future[_Program] = Future()
+        ready.set_result(kept._replace(run=_tried(kept.run, anew)))
+        return _Made(lambda: kept.result(kept.shapes), ready)
+
+    def _compile(self, key: str, fixed, arrays, structure, path: Path | None) -> _Made:
         shape: list[Any] = []
 
         def flat(leaves):
@@ -128,13 +200,57 @@ class _Stored:
 
         # by this name JAX's own cache never has it: what was read from there cannot be
         # written again
-        flat.__name__ = path.name
-        program = jax.jit(flat, compiler_options=_plain())
-        compiled = program.lower(arrays).compile()
-        # a cache must not fail: what cannot be kept is compiled again next time
-        with suppress(Exception):
-            _write(path, pickle.dumps((*serialize_executable.serialize(compiled), *shape)))
-        return _whole(compiled, *shape)
+        flat.__name__ = key
+        lowered = jax.jit(flat, compiler_options=_plain()).lower(arrays)
+        shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in lowered.out_info]
+
+        def work() -> _Program:
+            compiled = lowered.compile()
+            # a cache must not fail: what cannot be kept is compiled again next time
+            with suppress(Exception):
+                if path is not None:
+                    parts = serialize_executable.serialize(compiled)
+                    _write(path, pickle.dumps((*parts, *shape, shapes)))
+            return _Program(compiled, shape[0], shape[1], shapes)
+
+        outline = _Program(list, shape[0], shape[1], shapes)
+        return _Made(lambda: outline.result(shapes), _compilers().submit(work))
+
+
+@functools.cache
+def _compilers() -> ThreadPoolExecutor:
+    """Where programs are compiled, which Python does not have to wait for."""
+    return ThreadPoolExecutor(2, "compile")
+
+
+def _quick(folder, structure, fixed, arrays) -> Hashable:
+    """A name for a call within this run; None where a fixed part cannot have one."""
+    leaves, tree = jax.tree.flatten(fixed)
+    kinds = tuple((a.shape, a.dtype, getattr(a, "weak_type", False)) for a in arrays)
+    # 1, 1.0 and True are equal, but no program takes one for the other
+    name = folder, structure, kinds, tree, tuple((type(x), x) for x in leaves)
+    try:
+        hash(name)
+    except TypeError:
+        return None
+    return name
+
+
+def _tried(run: Callable[..., Any], anew: Callable[[], _Made]) -> Callable[..., Any]:
+    """A program that was read; one that was badly kept does not run, and is made again."""
+    good: list[Callable[..., Any]] = []
+
+    def carefully(arrays):
+        if not good:
+            try:
+                result = run(arrays)
+                good.append(run)
+                return result
+            except jax.errors.JaxRuntimeError:
+                good.append(anew().program.result().run)
+        return good[0](arrays)
+
+    return carefully
 
 
 @functools.cache
@@ -149,7 +265,7 @@ def _plain() -> dict[str, Any]:
 
 
 def _is_array(leaf: Any) -> bool:
-    return isinstance(leaf, jax.Array | np.ndarray | np.generic)
+    return isinstance(leaf, jax.Array | np.ndarray | np.generic | jax.ShapeDtypeStruct)
 
 
 def _canonical(thing: Any) -> bytes:
@@ -161,18 +277,13 @@ def _canonical(thing: Any) -> bytes:
     return written.getvalue()
 
 
-def _whole(compiled, found, rest) -> Callable[..., Any]:
-    """A compiled function of leaves, with its result put together again."""
-    structure = jax.tree.structure(found)
-    return lambda arrays: eqx.combine(jax.tree.unflatten(structure, compiled(arrays)), rest)
-
-
-def _read(path: Path) -> Callable[..., Any] | None:
+def _read(path: Path) -> _Program | None:
     """A program from its file; None where there is none that can be read."""
     _ready_for_linear_algebra()
     with suppress(Exception):
-        *program, found, rest = pickle.loads(path.read_bytes())
-        return _whole(serialize_executable.deserialize_and_load(*program), found, rest)
+        *parts, found, rest, shapes = pickle.loads(path.read_bytes())
+        run = serialize_executable.deserialize_and_load(*parts)
+        return _Program(run, found, rest, shapes)
     return None
 
 

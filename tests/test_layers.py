@@ -29,9 +29,10 @@ coverage
 blocks preflight evenness
 optimize.model optimize.box optimize.values optimize.penalty optimize.certificate
 optimize.naming
-optimize.steering optimize.outer optimize.implicit optimize.adapted
+optimize.steering optimize.outer optimize.implicit optimize.adapted optimize.walk
 optimize.auglag optimize.goals optimize.uncertainty
-optimize.kept optimize.tune optimize.choices optimize.basins optimize.explore optimize.front
+optimize.kept optimize.batches
+optimize.tune optimize.choices optimize.basins optimize.explore optimize.front
 optimize.sensitivity optimize.variance
 optimize.attribution
 optimize.runs optimize.calibrate optimize.identify optimize

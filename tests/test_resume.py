@@ -6,8 +6,8 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections import Counter
 from pathlib import Path
 
 import jax
@@ -38,8 +38,15 @@ class Killed(BaseException):
     """Like `KeyboardInterrupt`, nothing that anyone would catch on the way."""
 
 
+latest = {}
+"""What the batch that each thread ran last started from."""
+
+
 class Mortal(Searches):
     """A folder of searches whose process dies at the n-th batch: nothing is kept after."""
+
+    finished: list[bytes] = []
+    """What all batches that were kept had started from."""
 
     def __init__(self, folder, last):
         super().__init__(folder)
@@ -50,6 +57,7 @@ class Mortal(Searches):
         if self.left < 0:
             raise Killed
         super().__setitem__(name, arrays)
+        self.finished.append(latest[threading.get_ident()])
         if self.left == 0:
             raise Killed
 
@@ -61,6 +69,7 @@ def runs(monkeypatch):
 
     def counted(places, *rest):
         made.append(np.stack([np.asarray(x) for x in places.values()]).tobytes())
+        latest[threading.get_ident()] = made[-1]
         return real(places, *rest)
 
     monkeypatch.setattr(module, "_search", counted)
@@ -102,19 +111,24 @@ def test_ten_kills_change_no_bit_and_repeat_no_finished_start(tmp_path, runs, un
     assert not runs
 
 
-def test_no_finished_batch_is_ever_run_again(tmp_path, runs):
-    """Counted by what a batch starts from, over kills after each single batch."""
+def test_no_finished_batch_is_ever_run_again(tmp_path, runs, monkeypatch):
+    """By what batches start from, over kills after each single one."""
+    monkeypatch.setattr(Mortal, "finished", [])
     store = {}
     search(store, starts=8)
     total = len(runs)
-    runs.clear()
     for _ in range(total):
+        runs.clear()
+        before = set(Mortal.finished)
         with pytest.raises(Killed):
             search(Mortal(tmp_path, 1), starts=8)
+        time.sleep(0.05)  # the other thread's batch, which is not kept
+        assert not before & set(runs)
+        assert len(runs) <= 2
+        assert len(Mortal.finished) == len(before) + 1
+    runs.clear()
     search(Mortal(tmp_path, 1), starts=8)
-    # the first batch that is left runs alone, so nothing else was under way at its kill
-    assert len(runs) == total
-    assert set(Counter(runs).values()) == {1}
+    assert not runs
 
 
 def test_what_another_search_finished_is_not_taken(runs):

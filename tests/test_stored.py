@@ -92,6 +92,30 @@ def test_another_call_is_another_program(kept, given):
     assert found.word == expected.word
 
 
+def swapped(pair: tuple[Array | None, Array | None]) -> str:
+    return "first" if pair[1] is None else "second"
+
+
+def test_where_an_array_is_missing_is_part_of_the_program(kept):
+    """Two limits that could be set, of which one is: another program for each."""
+    assert stored(swapped)((X, None)) == "first"
+    assert stored(swapped)((None, X)) == "second"
+    again()
+    assert stored(swapped)((None, X)) == "second"
+
+
+def test_a_program_can_be_made_ahead(kept):
+    """From shapes alone, traced once, also where it is read from disk."""
+    shape = jax.ShapeDtypeStruct(X.shape, X.dtype)
+    for _ in range(2):
+        outline = stored(along).ahead(LINE, shape, power=2)
+        assert outline.value.shape == (3,)
+        assert outline.word == "steep 2"
+        np.testing.assert_array_equal(stored(along)(LINE, X, power=2).value, [0, 2, 8])
+        assert len(traced) <= 1
+        again()
+
+
 def test_sharing_parts_makes_no_difference(kept):
     name = "".join(["sta", "tic"])
     stored(along)(Line(jnp.asarray(1.0), name), X, power=2)

@@ -18,10 +18,10 @@ from jaxtyping import Array, Float
 
 from ..chain import Outcome, polish
 from ..parts import Process, Scalar, as_scalar
-from ..plan import Plan, PlanOutcome, follow
+from ..plan import Plan, PlanOutcome, follow_forward
 from ..setup import Setup
 from ..stored import stored
-from .auglag import minimise
+from .batches import in_batches, looked_at, walked
 from .certificate import Solution, Status
 from .goals import (
     Goal,
@@ -35,8 +35,9 @@ from .goals import (
     setting,
 )
 from .kept import Kept, Store
-from .tune import KEPT, TOGETHER, in_batches, spread_starts
+from .tune import KEPT, TOGETHER, spread_starts
 from .values import Values
+from .walk import Rules
 
 
 # the largest miss of a goal, in tolerances: an outcome like any other here
@@ -130,11 +131,10 @@ def sign(name: str) -> float:
 
 
 @stored
-def _search(
-    places, questions: Question, job: _Job, names: tuple[str, ...], tolerance, chain
-) -> Solution:
-    """One search from each place, side by side."""
-    chain = eqx.filter_jit(chain)
+def _looked_at(
+    x, questions: Question, job: _Job, names: tuple[str, ...], chain
+) -> tuple[Any, Any]:
+    """What the searches need to know of several places, each with its question."""
     steps = job.setup.names if isinstance(job.setup, Plan) else ()
 
     def values(x, ask):
@@ -159,20 +159,24 @@ def _search(
             equality=jnp.where(ask.held > 0, found - ask.at, 0.0),
         )
 
-    def one(x, ask):
-        return minimise(
-            values,
-            None,
-            x,
-            {**job.lower, LEVEL: ask.least},
-            {**job.upper, LEVEL: ask.most},
-            args=ask,
-            tolerance=tolerance,
-            max_outer=ROUNDS,
-            max_inner=TRIALS,
-        )
+    return looked_at(values, x, questions)
 
-    return jax.vmap(one)(places, questions)
+
+def _search(places, questions: Question, job: _Job, names, tolerance, chain) -> Solution:
+    """One search from each place, side by side."""
+
+    def bounded(bounds, level):
+        count = level.shape
+        return {n: jnp.broadcast_to(b, count) for n, b in bounds.items()} | {LEVEL: level}
+
+    lower = bounded(job.lower, questions.least)
+    upper = bounded(job.upper, questions.most)
+
+    def look(x):
+        return _looked_at(x, questions, job, names, chain)
+
+    places = jax.tree.map(jnp.clip, places, lower, upper)
+    return walked(look, places, lower, upper, Rules(tolerance, ROUNDS, TRIALS))
 
 
 class Explorer:
@@ -229,7 +233,7 @@ class Explorer:
         self.say = progress or (lambda _: None)
         goals = dict(target) if MISS in names else {}
         setup = mapped(setup, goals)
-        chain = chain or (follow if steps else polish)
+        chain = chain or (follow_forward if steps else polish)
         outcome: Callable[..., Any] = stored(chain)
 
         def row(x):

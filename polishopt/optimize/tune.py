@@ -14,7 +14,6 @@ What is finished can be kept, so that a search that was interrupted goes on wher
 import dataclasses
 import enum
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Generic, TypeVar, overload
 
 import equinox as eqx
@@ -25,10 +24,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..chain import Outcome, polish
 from ..parts import Process, Scalar, as_scalar
-from ..plan import Plan, PlanOutcome, follow
+from ..plan import Plan, PlanOutcome, follow_forward
 from ..setup import Setup
 from ..stored import stored
-from .auglag import solve
+from .batches import ahead, in_batches, looked_at, walked
 from .certificate import Solution, Status
 from .goals import (
     Goal as Goal,
@@ -46,6 +45,7 @@ from .goals import (
 )
 from .kept import Kept, Store
 from .values import Values
+from .walk import Rules
 
 
 # A texture is on target when every goal is met to this share of its tolerance: for the
@@ -158,14 +158,10 @@ class _Stage(eqx.Module):
 
 
 @stored
-def _search(places, lower, upper, stage: _Stage, secondary, tolerance, chain) -> Solution:
-    """One search from each place, side by side; both stages share the compilation.
+def _looked_at(x, stage: _Stage, secondary: str, chain) -> tuple[Any, Any]:
+    """What the search needs to know of several places; both stages share the program."""
 
-    However often the solver calls the chain, jitted it is traced once.
-    """
-    chain = eqx.filter_jit(chain)
-
-    def values(x, stage):
+    def values(x):
         given = applied(stage.fixed, _steps(stage.setup), x)
         outcome = chain(given, stage.setup)
         # the worst place is no smooth function of the settings: each place is asked for
@@ -190,72 +186,16 @@ def _search(places, lower, upper, stage: _Stage, secondary, tolerance, chain) ->
             equality={name: miss * exact for name, miss in missed.items()},
         )
 
-    return jax.vmap(
-        lambda x: solve(
-            values,
-            None,
-            x,
-            lower,
-            upper,
-            args=stage,
-            tolerance=tolerance,
-            max_outer=ROUNDS,
-            max_inner=TRIALS,
-        )
-    )(places)
+    return looked_at(values, x)
 
 
-def in_batches(
-    search: Callable[..., Solution],
-    places: Mapping[str, Float[Array | np.ndarray, " starts"]],
-    size: int,
-    kept: Kept | None = None,
-    *what: Any,
-    **more: np.ndarray,
-) -> Solution:
-    """Searches from all places, `size` of them at a time, on the host.
+def _search(places, lower, upper, stage, secondary, tolerance, chain) -> Solution:
+    """One search from each place, side by side."""
 
-    A batch ends with its slowest search, so small batches wait less; and two of them run
-    at once, since one alone does not keep two cores busy. Which places make up a batch
-    depends on nothing but their order.
+    def look(x):
+        return _looked_at(x, stage, secondary, chain)
 
-    Args:
-        search: From several places, side by side, each an entry of `places` and of `what`.
-        places: Where searches start, by setting.
-        size: How many make up a batch.
-        kept: Finished batches, which are not run again; new ones are added.
-        what: More that differs from search to search: pytrees with an axis of starts.
-        more: What is kept with them, and part of what they are, one entry a search.
-    """
-    count = len(next(iter(places.values())))
-    # the last batch is filled up with its last place
-    index = np.minimum(np.arange(-(-count // size) * size), count - 1).reshape(-1, size)
-
-    def given(chosen):
-        return jax.tree.map(lambda x: x[chosen], (dict(places), *what))
-
-    known = [{name: values[chosen] for name, values in more.items()} for chosen in index]
-    names, parts = [], [None] * len(index)
-    if kept:
-        names = [kept.name(given(c), k) for c, k in zip(index, known, strict=True)]
-        parts = [kept.get(name) for name in names]
-
-    def run(i):
-        found = jax.device_get(search(*given(index[i])))
-        if kept:
-            kept.put(names[i], found, **known[i])
-        return found
-
-    left = [i for i, part in enumerate(parts) if part is None]
-    pool = ThreadPoolExecutor(2)
-    try:
-        for some in (left[:1], left[1:]):  # the first one compiles for all
-            for i, part in zip(some, pool.map(run, some), strict=True):
-                parts[i] = part
-    finally:
-        # who interrupts this does not want to wait for searches under way
-        pool.shutdown(wait=False, cancel_futures=True)
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
+    return walked(look, places, lower, upper, Rules(tolerance, ROUNDS, TRIALS))
 
 
 def _put(values, where, new):
@@ -363,7 +303,7 @@ def tune(
         seed: Seed of all but the first start.
         tolerance: Projected gradient at which a search ends, in tolerances of the goals.
         chain: Another model of the process, of the same form as `polish` or, for a plan,
-            `plan.follow`.
+            `plan.follow`; its slopes are taken in forward mode.
         progress: Called with a sentence as the stages go by.
         store: Where finished searches are kept as they end, and taken from if they were
             finished before: a dictionary, or `files.searches.Searches`. The answer is the
@@ -394,19 +334,28 @@ def tune(
         )
     if limits is None:
         limits = PlanLimits((Limits(),) * len(steps)) if steps else Limits()
-    chain = chain or (follow if steps else polish)
+    chain = chain or (follow_forward if steps else polish)
     say = progress or (lambda _: None)
     lower = {name: as_scalar(low) for name, (low, _) in between.items()}
     upper = {name: as_scalar(high) for name, (_, high) in between.items()}
     places = spread_starts(first, between, starts, seed)
 
-    outcome: Callable[..., Any] = stored(chain)
-    unit = jnp.maximum(_cost(outcome(begin, setup), secondary), 1e-12)
-
     # an accelerator takes all starts at once
     together = min(starts, TOGETHER if jax.default_backend() == "cpu" else starts)
-
-    reach = _Stage(setup, begin, dict(target), limits, jnp.zeros_like(unit), unit)
+    low, high = (
+        {name: jnp.full(together, bound) for name, bound in side.items()}
+        for side in (lower, upper)
+    )
+    zero = as_scalar(0.0)
+    reach = _Stage(setup, begin, dict(target), limits, zero, zero)
+    # the model's slopes take longest to compile: the rest is done meanwhile
+    some = {name: column[:together] for name, column in places.items()}
+    outline = _looked_at.ahead(some, reach, secondary, chain)
+    outcome = stored(chain)
+    outcome.ahead(begin, setup)
+    ahead(outline, some, low, high, Rules(tolerance, ROUNDS, TRIALS))
+    unit = jnp.maximum(_cost(outcome(begin, setup), secondary), 1e-12)
+    reach = dataclasses.replace(reach, unit=unit)
     hold = dataclasses.replace(reach, weight=jnp.ones_like(unit))
     done = None
     if store is not None:
@@ -416,7 +365,7 @@ def tune(
 
     def search(places, stage, numbers):
         def some(part):
-            return _search(part, lower, upper, stage, secondary, tolerance, chain)
+            return _search(part, low, high, stage, secondary, tolerance, chain)
 
         kinds = np.full(numbers.shape, 1 if stage is reach else 2)
         return in_batches(some, places, together, done, start=numbers, stage=kinds)

@@ -1,0 +1,198 @@
+"""Batches: searches from many places, a few of them side by side, run from the host.
+
+What an optimiser does between two evaluations is the same small program for all problems
+of a size, while the slopes of a model of the process may take long to compile. So the two
+are programs of their own, compiled at the same time, which take turns. A batch ends with
+its slowest search, so small batches wait less; and two of them run at once, since one alone
+does not keep two cores busy.
+"""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, PyTree
+
+from ..stored import stored
+from .box import slopes
+from .certificate import Solution
+from .kept import Kept
+from .values import Values
+from .walk import Rules, Walk, ended, over, problem_of, proposed, set_out, taken_in
+
+
+Places = Mapping[str, Float[Array | np.ndarray, " starts"]]
+
+
+def looked_at(values: Callable[..., Values], x: PyTree, *given: PyTree) -> tuple[Any, Any]:
+    """The parts of a problem at several places, and their slopes per unit.
+
+    Args:
+        values: Of one place, and of what is given with it.
+        x: Places, a pytree with a leading axis.
+        given: More that differs from place to place, likewise.
+
+    Returns:
+        Residuals, objectives, inequalities and equalities; and the derivatives of all of
+        them in that order, flat, by the flat unknowns.
+    """
+
+    def one(x, *given):
+        point, _ = ravel_pytree(x)
+
+        def parts(x):
+            found = jax.tree.map(jnp.asarray, values(x, *given).parts())
+            return found, found
+
+        _, columns, found = slopes(parts, x, jnp.ones_like(point))
+        return found, columns
+
+    return jax.vmap(one)(x, *given)
+
+
+def walked(
+    look: Callable[[PyTree], tuple[Any, Any]],
+    places: PyTree,
+    lower: PyTree,
+    upper: PyTree,
+    rules: Rules,
+) -> Solution:
+    """Where searches from several places end, run side by side.
+
+    Args:
+        look: As `looked_at`, of the places alone.
+        places: Where they start, within the bounds; a pytree with a leading axis.
+        lower: Lower bounds, a pytree like `places`.
+        upper: Upper bounds.
+        rules: When a search is over.
+    """
+    parts, columns = look(places)
+    walk = _set_out(parts, places, lower, upper)
+    while True:
+        walk, done = _turn(walk, parts, columns, lower, upper, rules)
+        if np.all(done):
+            return _ended(walk, parts, lower, upper, rules)
+        parts, columns = look(walk.trial.y)
+
+
+def ahead(
+    outline: tuple[Any, Any], places: PyTree, lower: PyTree, upper: PyTree, rules: Rules
+) -> None:
+    """Has the programs of `walked` made in the background.
+
+    Args:
+        outline: What `look` will return, by its shapes.
+        places: As in `walked`.
+        lower: As in `walked`.
+        upper: As in `walked`.
+        rules: As in `walked`.
+    """
+    parts, columns = outline
+    walk = _set_out.ahead(parts, places, lower, upper)
+    _turn.ahead(walk, parts, columns, lower, upper, rules)
+    _ended.ahead(walk, parts, lower, upper, rules)
+
+
+@stored
+def _set_out(parts, places, lower, upper) -> Walk:
+    def one(parts, x, lower, upper):
+        return _typed(set_out(problem_of(parts, x, lower, upper), x))
+
+    return jax.vmap(one)(parts, places, lower, upper)
+
+
+@stored
+def _turn(
+    walk: Walk, parts, columns, lower, upper, rules: Rules
+) -> tuple[Walk, Bool[Array, " starts"]]:
+    """All walks after their trial points, those that are over as they were."""
+
+    def one(walk, parts, columns, lower, upper):
+        width = walk.state.scale
+        problem = problem_of(parts, walk.x, lower, upper, width=width)
+        values = ravel_pytree(parts)[0].astype(width.dtype)
+        new = taken_in(problem, rules, walk, values, columns * width[None, :])
+        new = proposed(problem, rules, new)
+        done = over(rules, walk)
+        new = jax.tree.map(lambda a, b: jnp.where(done, a, b), walk, new)
+        return _typed(new), over(rules, new)
+
+    return jax.vmap(one)(walk, parts, columns, lower, upper)
+
+
+def _typed(walk: Walk) -> Walk:
+    """The same without weak types, so that the first turn is compiled like all others."""
+    return jax.tree.map(lambda x: jnp.asarray(x, x.dtype), walk)
+
+
+@stored
+def _ended(walk: Walk, parts, lower, upper, rules: Rules) -> Solution:
+    def one(walk, parts, lower, upper):
+        problem = problem_of(parts, walk.x, lower, upper, width=walk.state.scale)
+        return ended(problem, rules, walk)
+
+    return jax.vmap(one)(walk, parts, lower, upper)
+
+
+def in_batches(
+    search: Callable[..., Solution],
+    places: Places,
+    size: int,
+    kept: Kept | None = None,
+    *what: Any,
+    **more: np.ndarray,
+) -> Solution:
+    """Searches from all places, `size` of them at a time.
+
+    Which places make up a batch depends on nothing but their order.
+
+    Args:
+        search: From several places, side by side, each an entry of `places` and of `what`.
+        places: Where searches start, by setting.
+        size: How many make up a batch.
+        kept: Finished batches, which are not run again; new ones are added.
+        what: More that differs from search to search: pytrees with an axis of starts.
+        more: What is kept with them, and part of what they are, one entry a search.
+    """
+    count = len(next(iter(places.values())))
+    # the last batch is filled up with its last place
+    index = np.minimum(np.arange(-(-count // size) * size), count - 1).reshape(-1, size)
+
+    def given(chosen):
+        return jax.tree.map(lambda x: x[chosen], (dict(places), *what))
+
+    known = [{name: values[chosen] for name, values in more.items()} for chosen in index]
+    names, parts = [], [None] * len(index)
+    if kept:
+        names = [kept.name(given(c), k) for c, k in zip(index, known, strict=True)]
+        parts = [kept.get(name) for name in names]
+
+    halted = Event()
+
+    def run(i):
+        if halted.is_set():
+            return None
+        try:
+            found = jax.device_get(search(*given(index[i])))
+            if kept:
+                kept.put(names[i], found, **known[i])
+        except BaseException:
+            halted.set()
+            raise
+        return found
+
+    left = [i for i, part in enumerate(parts) if part is None]
+    pool = ThreadPoolExecutor(2)
+    try:
+        for i, part in zip(left, pool.map(run, left), strict=True):
+            parts[i] = part
+    finally:
+        # who interrupts this does not want to wait for searches under way
+        halted.set()
+        pool.shutdown(wait=False, cancel_futures=True)
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
