@@ -22,6 +22,8 @@ from .contact.pressure import (
     body_clearance,
     effective_diameter,
     envelope,
+    flat_area,
+    flat_force,
     patch,
     shear_margin,
     unstick_force,
@@ -156,8 +158,18 @@ def along(process: Process, setup: Setup) -> Stations:
             process, setup.tool, bend, side, sampling.rows, sampling.columns, setup.panels
         )
 
-    # one contact patch serves all phases of a loop, and on a plane all stations
-    level = footing(process, jnp.zeros((2, 2), dtype=s.dtype)) if setup.level else None
+    # one contact patch serves all phases of a loop, and on a plane all stations; there its
+    # force and area are exact: the area of the nodes has a corner wherever a row of them
+    # comes to reach across the disc
+    level, flat = None, ()
+    if setup.level:
+        level, tool = footing(process, jnp.zeros((2, 2), dtype=s.dtype)), setup.tool
+        pressed = process.tilt, process.displacement
+        flat = (
+            flat_force(tool.radius, tool.foundation, *pressed, tool.stiffening),
+            flat_area(tool.radius, *pressed),
+        )
+        flat = tuple(jnp.where(process.displacement > 0, one, 0.0) for one in flat)
 
     def place_at(process, s, phase):
         return posture(
@@ -230,6 +242,7 @@ def along(process: Process, setup: Setup) -> Stations:
         dwell = weight / count / speed
         mean_bend = jnp.mean(jax.vmap(bend)(place), axis=0)
         nodes = footing(here, mean_bend) if level is None else level
+        force, area = flat or (nodes.force, nodes.contact_area)
         points, volumes = jax.vmap(touch, in_axes=(None, 0, 0, 0, 0))(
             nodes, place, tangent, speed, dwell
         )
@@ -242,8 +255,8 @@ def along(process: Process, setup: Setup) -> Stations:
             idle=idle,
             curvature=mean_bend,
             displacement=here.displacement,
-            force=jnp.where(contact > 0, nodes.force, 0.0),
-            area=nodes.contact_area,
+            force=jnp.where(contact > 0, force, 0.0),
+            area=area,
             kept=jnp.sum(volumes * fraction_inside(points, grid)),
             points=points,
             volumes=volumes,

@@ -20,13 +20,12 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ..parts import Scalar
-from .model import Merit, learned, least_of_model, positive, projected
+from .model import Merit, Model, learned, least_of_model, projected
 
 
 ACCEPT = 1e-4  # least share of the promised decrease that is worth moving for
 SHRINK, GROW = 0.25, 2.5  # of the trust region, after a poor and after a good step
 NEARBY = 0.2  # widths of the box over which curvature is learned from rejected points
-HARDEST = 10.0  # a constraint's pull in it, over the steepness of all that is none
 FAR = 10.0  # times the size of an unknown: a box wider than that says nothing
 
 
@@ -41,8 +40,8 @@ class BoxState(eqx.Module):
     """What the function returned at the point."""
     jacobian: Float[Array, "m n"]
     """Derivative of `values`, per width of the box."""
-    curvature: Float[Array, "n n"]
-    """What the values' own curvature adds to the Gauss-Newton Hessian."""
+    curvature: Float[Array, "m n n"]
+    """Second derivative of each of them, as far as it was learned."""
     radius: Scalar
     """Half the edge of the trust region, in widths of the box."""
     finite: Bool[Array, ""]
@@ -51,6 +50,11 @@ class BoxState(eqx.Module):
     """Largest entry of the projected gradient, per width of the box."""
     magnitude: Scalar
     """Largest sum of the gradient's terms, each without its sign."""
+
+    @property
+    def model(self) -> Model:
+        """What is expected of a step from the point, in widths of the box."""
+        return Model(self.values, self.jacobian, self.curvature)
 
 
 class Trial(eqx.Module):
@@ -82,7 +86,6 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         choose: `choose(args, state, low, high)`, another choice of the step between `low`
             and `high`: the step, the change it promises, and new `args`.
         radius: Half the edge of the first trust region, in units of `scale`.
-        firm: Which of the flat values are constraints, see `pulls`; none by default.
     """
 
     rtol: float = 0.0
@@ -104,7 +107,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             first=jnp.array(True),
             values=jnp.zeros(outputs, flat.dtype),
             jacobian=jnp.zeros((outputs, flat.size), flat.dtype),
-            curvature=jnp.zeros((flat.size, flat.size), flat.dtype),
+            curvature=jnp.zeros((outputs, flat.size, flat.size), flat.dtype),
             radius=one * options.get("radius", 0.5),
             finite=jnp.array(True),
             optimality=jnp.inf * one,
@@ -129,9 +132,7 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             step, promised, args = options["choose"](args, state, low, high)
         else:
             merit = merit_of(args, options, state.values)
-            step, promised = least_of_model(
-                merit, state.values, state.jacobian, state.curvature, low, high
-            )
+            step, promised = least_of_model(merit, state.model, low, high)
         step = jnp.where(state.first, 0.0, step)
         trial = jnp.clip(point + scale * step, lower, upper)
         # a bound met is met exactly, whatever the rounding of the line above
@@ -177,13 +178,10 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         # a point near by tells how the values bend, kept or not
         told = keep | (jnp.max(jnp.abs(step)) <= NEARBY)
         told = told & ~state.first & finite & jnp.all(jnp.isfinite(columns))
-        expected = state.values + state.jacobian @ step
-        pull = pulls(merit, values, expected, columns, options.get("firm", False))
-        change = (columns - state.jacobian).T @ pull
+        told = told & (jnp.max(jnp.abs(moved)) > 0)
+        change = jnp.where(told, columns - state.jacobian, 0.0)
         curvature = jnp.where(
-            told & (jnp.max(jnp.abs(moved)) > 0),
-            learned(state.curvature, moved, change),
-            state.curvature,
+            told, learned(state.curvature, moved, change), state.curvature
         )
         length = jnp.max(jnp.abs(step))
         grown = jnp.where(
@@ -242,36 +240,6 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         """Nothing to add."""
         del fn, args, options, state, tags, result
         return y, aux, {}
-
-
-def pulls(
-    merit: Merit,
-    values: Float[Array, " m"],
-    expected: Float[Array, " m"],
-    jacobian: Float[Array, "m n"],
-    firm: Bool[Array, " m"] | bool,
-) -> Float[Array, " m"]:
-    """How much each value's own curvature counts: its multiplier.
-
-    That of a penalised constraint at a trial point says how far the point lies outside, by
-    just the curvature in question, times the penalty. What the model expected there is the
-    multiplier at the end of the step, as in sequential quadratic programming; only where
-    the model could not get inside does it grow with the penalty, and is cut off.
-
-    Args:
-        merit: What is made small, of the values.
-        values: Values at the trial point.
-        expected: What the model expected them to be.
-        jacobian: Their derivative at the trial point.
-        firm: Which of them are constraints.
-    """
-    pull = merit.pull(jnp.where(firm, expected, values))
-    steep = jnp.max(jnp.abs(jacobian.T @ jnp.where(firm, 0.0, pull)))
-    size = jnp.max(jnp.abs(jacobian), axis=1)
-    most = jnp.where(
-        firm & (steep > 0) & (size > 0), HARDEST * steep / positive(size), jnp.inf
-    )
-    return jnp.clip(pull, -most, most)
 
 
 def slopes(fn, y, scale) -> tuple[Float[Array, " m"], Float[Array, "m n"], Any]:

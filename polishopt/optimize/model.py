@@ -2,12 +2,12 @@ r"""Model: what the next step expects of a problem, and where it is least.
 
 What is made small is a cheap function of values that are dear, $\tfrac12 |w(v(x))|^2 + l^T
 v(x)$: elementwise $w$ is a hinge or a weight, and $l$ picks a value that is an objective as
-it stands. Values and their Jacobian at one point give the model
-$m(d) = \tfrac12 |w(v + J d)|^2 + l^T (v + J d) + \tfrac12 d^T S d$ around it. It sees a
-hinge before the step runs over it, and the matrix $S$ holds the curvature of the values
-themselves, learned from the Jacobians of accepted points. An objective that is no sum of
-squares, a problem with fewer residuals than unknowns, or with multipliers on curved
-constraints, has no other curvature along its valley.
+it stands. Values, their Jacobian and the curvature of each at one point give a quadratic
+model of every value, $q_k(d) = v_k + J_k d + \tfrac12 d^T S_k d$, and so of what is made
+small, $m(d) = \tfrac12 |w(q(d))|^2 + l^T q(d)$. It sees a hinge before the step runs over
+it, and follows a curved one, however large its penalty is. The curvatures are learned from
+one point to the next, each value's own: multipliers and penalties may change meanwhile, and
+what depends on a few unknowns only is known after a few steps.
 """
 
 from collections.abc import Callable
@@ -24,6 +24,7 @@ NOISE = 10.0  # rounding of a sum of squares, in units of the last place
 STEPS = 40  # Newton steps on the model; they cost no evaluation
 AT_BOUND = 1e-6  # so near to a bound is at it, in widths of the box
 HALVINGS = 12  # lengths tried along each of them
+SAFE = 1e-1  # cosine between step and surprise from which curvature is learned
 
 Weigh = Callable[[Float[Array, " m"]], Float[Array, " m"]]
 
@@ -51,6 +52,25 @@ class Merit(eqx.Module):
         return slope * rows + self.lead
 
 
+class Model(eqx.Module):
+    """Values as quadratic functions of a step."""
+
+    values: Float[Array, " m"]
+    """At the present point, $v$."""
+    jacobian: Float[Array, "m n"]
+    """Their derivative there, $J$."""
+    curvature: Float[Array, "m n n"]
+    """Their second derivatives, as far as they are known, $S$."""
+
+    def __call__(self, step: Float[Array, " n"]) -> Float[Array, " m"]:
+        """Values that are expected after a step."""
+        return self.values + (self.jacobian + 0.5 * (self.curvature @ step)) @ step
+
+    def slopes(self, step: Float[Array, " n"]) -> Float[Array, "m n"]:
+        """Their derivative there."""
+        return self.jacobian + self.curvature @ step
+
+
 def projected(point, gradient, lower, upper) -> Float[Array, " n"]:
     """Step of steepest descent, cut off at the box; zero at a stationary point."""
     return jnp.clip(point - gradient, lower, upper) - point
@@ -63,49 +83,44 @@ def positive(number: Float[Array, "..."]) -> Float[Array, "..."]:
 
 def least_of_model(
     merit: Merit,
-    values: Float[Array, " m"],
-    jacobian: Float[Array, "m n"],
-    curvature: Float[Array, "n n"],
+    model: Model,
     low: Float[Array, " n"],
     high: Float[Array, " n"],
 ) -> tuple[Float[Array, " n"], Scalar]:
-    r"""Step to the least point found of the model in a box, and the model's change.
+    r"""Step to the least point found of the model in a box, and the merit's change.
 
     By projected Newton steps on the variables that do not push against the box. Where the
-    model is not convex the eigenvalues are taken positive, so that every step goes down.
+    merit is not convex the eigenvalues are taken positive, so that every step goes down.
 
     Args:
         merit: What is made small, of the values.
-        values: The values $v$ at the present point.
-        jacobian: Their derivative $J$.
-        curvature: The curvature $S$ that $J$ does not show.
+        model: The values of a step.
         low: Smallest step, at most 0.
         high: Largest step, at least 0.
 
     Returns:
-        The step, and the change of the model, at most 0.
+        The step, and the change of the merit that is expected of it, at most 0.
     """
-    lengths = jnp.asarray([0.5**k for k in range(HALVINGS)], values.dtype)
-    lead = jacobian.T @ merit.lead
+    lengths = jnp.asarray([0.5**k for k in range(HALVINGS)], low.dtype)
 
-    def model(step):
-        rows = merit.weigh(values + jacobian @ step)
-        return 0.5 * jnp.sum(rows**2) + lead @ step + 0.5 * step @ (curvature @ step)
+    def after(step):
+        return merit(model(step))
 
-    def hinged(step):
-        there = values + jacobian @ step
-        return jax.jvp(merit.weigh, (there,), (jnp.ones_like(values),))
+    def hinged(values):
+        return jax.jvp(merit.weigh, (values,), (jnp.ones_like(values),))
 
-    def newton_step(step, rows, slope):
-        gradient = jacobian.T @ (slope * rows) + lead + curvature @ step
+    def newton_step(step, slopes, rows, slope):
+        pull = slope * rows + merit.lead
+        gradient = slopes.T @ pull
         # what is all but at a bound and pushes against it goes there, and stays
         down = (step <= low + AT_BOUND) & (gradient >= 0)
         up = (step >= high - AT_BOUND) & (gradient <= 0)
         stuck = down | up
         rest = jnp.where(down, step - low, jnp.where(up, step - high, 0.0))
         free = ~stuck[:, None] & ~stuck[None, :]
-        scaled = slope[:, None] * jacobian
-        hessian = jnp.where(free, scaled.T @ scaled + curvature, 0.0)
+        scaled = slope[:, None] * slopes
+        bend = jnp.tensordot(pull, model.curvature, 1)
+        hessian = jnp.where(free, scaled.T @ scaled + bend, 0.0)
         eigenvalues, vectors = jnp.linalg.eigh(hessian)
         size = jnp.abs(eigenvalues)
         floor = 1e4 * jnp.finfo(size.dtype).eps * jnp.max(size)
@@ -116,16 +131,17 @@ def least_of_model(
 
     def descend(carry):
         step, best, _, count = carry
-        rows, slope = hinged(step)
-        newton, downhill = newton_step(step, rows, slope)
+        slopes = model.slopes(step)
+        rows, slope = hinged(model(step))
+        newton, downhill = newton_step(step, slopes, rows, slope)
         # hinges that this step would run into hold it as if they were touched already:
         # else a search that stands at one could not slide along it
         ahead = jnp.clip(step - newton, low, high)
-        later, bent = hinged(ahead)
+        later, bent = hinged(model(ahead))
         met = bent != 0
-        later = later - bent * (jacobian @ (ahead - step))
+        later = later - bent * (slopes @ (ahead - step))
         sliding, _ = newton_step(
-            step, jnp.where(met, later, rows), jnp.where(met, bent, slope)
+            step, slopes, jnp.where(met, later, rows), jnp.where(met, bent, slope)
         )
         # lengths that reach across the box at most, or all halvings might fall outside
         newton, sliding, steepest = (
@@ -135,7 +151,7 @@ def least_of_model(
         along, slides = (jnp.outer(lengths, p) for p in (newton, sliding))
         directions = jnp.concatenate([along, slides, jnp.outer(lengths**2, steepest)])
         tries = jax.vmap(lambda p: jnp.clip(step - p, low, high))(directions)
-        found = jax.vmap(model)(tries)
+        found = jax.vmap(after)(tries)
         pick = jnp.argmin(jnp.where(jnp.isnan(found), jnp.inf, found))
         better = found[pick] < best
         # near the end the decrease drowns in rounding, but the Newton step is still right
@@ -143,8 +159,8 @@ def least_of_model(
         step = jnp.where(better, tries[pick], jnp.where(last, tries[0], step))
         return step, jnp.where(better, found[pick], best), ~better, count + 1
 
-    start = model(jnp.zeros_like(low))
-    noise = merit.noise(values)
+    start = merit(model.values)
+    noise = merit.noise(model.values)
     step, best, _, _ = jax.lax.while_loop(
         lambda carry: ~carry[2] & (carry[3] < STEPS),
         descend,
@@ -153,17 +169,28 @@ def least_of_model(
     return step, best - start
 
 
-def learned(curvature, step, change) -> Float[Array, "n n"]:
-    """The curvature after a step along which it should have been `change`.
+def learned(
+    curvature: Float[Array, "m n n"], step: Float[Array, " n"], change: Float[Array, "m n"]
+) -> Float[Array, "m n n"]:
+    """The curvatures after a step along which slopes have changed.
 
-    The symmetric rank-one update, left out where its denominator is too small to trust.
-    The matrix may well be indefinite, as the curvature of a Lagrangian often is.
+    The symmetric rank-one update of each, left out where its denominator is too small to
+    trust. It keeps to the unknowns that a value depends on, and the matrices may well be
+    indefinite.
+
+    Args:
+        curvature: As known so far.
+        step: From one point to another.
+        change: Of the Jacobian between them.
 
     Source: Conn, Gould & Toint (1991), Convergence of quasi-Newton matrices generated by
     the symmetric rank one update.
     """
     miss = change - curvature @ step
     along = miss @ step
-    safe = jnp.abs(along) > 1e-6 * jnp.linalg.norm(miss) * jnp.linalg.norm(step)
-    update = miss[:, None] * miss[None, :] / jnp.where(safe, along, 1.0)
-    return curvature + jnp.where(safe, update, 0.0)
+    size = jnp.sqrt(jnp.sum(miss**2, axis=1)) * jnp.linalg.norm(step)
+    least = jnp.where(along < 0, -SAFE, SAFE) * size
+    divisor = jnp.where(jnp.abs(along) > SAFE * size, along, least)
+    some = size > 0
+    scaled = jnp.where(some[:, None], miss / jnp.where(some, divisor, 1.0)[:, None], 0.0)
+    return curvature + miss[:, :, None] * scaled[:, None, :]

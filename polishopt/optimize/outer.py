@@ -74,8 +74,7 @@ def outer_step(
         max_inner: Trial points after which the multipliers change in any case.
 
     Returns:
-        Both states. The first only has its trust region widened and, where the objective
-        comes or goes or work was cut short, its curvature forgotten.
+        Both states. The first only has its trust region widened.
     """
     duals, feasible = outer.duals, tolerable(goal, state.values)
     _, constraints, hinged = problem.split(state.values)
@@ -109,7 +108,7 @@ def outer_step(
     renew = renew & ~duals.restoring & ~solved & ~lost
     error = jnp.maximum(scaled, -duals.multiplier / duals.penalty)
     error = jnp.abs(jnp.where(hinged, error, scaled))
-    # what was cut short says nothing about the penalties, and goes on with fresh curvature
+    # what was cut short says nothing about the penalties
     cut = renew & spent & ~near & ~stalled(state)
     improved = error <= jnp.maximum(IMPROVED * outer.error, FINE * outer.loose)
     improved = improved | (error <= feasible) | cut
@@ -151,16 +150,8 @@ def outer_step(
         measuring=(duals.measuring & ~found) | measure,
     )
     new_problem = renew | found | measure
-    new_curvature = restore | found | measure | cut
-    wider = new_problem & ~cut
-    state = eqx.tree_at(
-        lambda s: (s.radius, s.curvature),
-        state,
-        (
-            jnp.where(wider, jnp.maximum(state.radius, RADIUS), state.radius),
-            jnp.where(new_curvature, 0.0, state.curvature),
-        ),
-    )
+    wider = jnp.where(new_problem & ~cut, RADIUS, 0.0)
+    state = eqx.tree_at(lambda s: s.radius, state, jnp.maximum(state.radius, wider))
     lasting = outer.duals.restoring & spent & ~new_problem
     status = jnp.where(lasting, Status.WORK_LIMIT.value, -1)
     status = jnp.where(least, Status.INFEASIBLE.value, status)

@@ -51,10 +51,8 @@ def steered(
         alone = duals.restoring | (count == 1)
         trial = eqx.tree_at(lambda d: d.restoring, firm, alone)
         merit = Merit(lambda v: problem.weigh(v, trial), problem.lead(trial))
-        step, promised = least_of_model(
-            merit, state.values, state.jacobian, state.curvature, low, high
-        )
-        there = jnp.abs(problem.breach(state.values + state.jacobian @ step, duals))
+        step, promised = least_of_model(merit, state.model, low, high)
+        there = jnp.abs(problem.breach(state.model(step), duals))
         then = jnp.max(there, initial=0.0)
         best = jnp.where(count == 1, then, best)
         enough = now - SHARE * jnp.maximum(now - best, 0.0)

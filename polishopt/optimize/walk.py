@@ -203,6 +203,5 @@ def _how(problem: Problem) -> dict[str, Any]:
         "scale": problem.width,
         "weigh": problem.weigh,
         "lead": problem.lead,
-        "firm": jnp.arange(problem.plain + problem.constraints) >= problem.plain,
         "choose": lambda duals, *rest: steered(problem, duals, *rest),
     }
