@@ -34,13 +34,11 @@ def trochoid(
 
     Source: S0 (Pessoles & Tournier 2009), eqs. (5) and (10).
     """
-    cosine, sine = jnp.cos(point.heading), jnp.sin(point.heading)
-    left = jnp.stack([-sine, cosine])
-    tangent = jnp.stack([cosine, sine])
     # turning the left normal clockwise by the phase leads to the tangent
-    circle = jnp.cos(phase) * left + jnp.sin(phase) * tangent
+    ways = jnp.stack([point.heading, point.heading - phase])
+    lefts = jnp.stack([-jnp.sin(ways), jnp.cos(ways)])
     # lifted, the tool goes straight back
-    wide = step / (2 * jnp.pi) * left + radius * circle
+    wide = lefts @ jnp.stack([step / (2 * jnp.pi), radius])
     return point.position + point.contact * wide
 
 
