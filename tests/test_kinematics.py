@@ -1,5 +1,6 @@
 """Kinematics: there and back is the identity, and the pole is harmless."""
 
+import dataclasses
 import functools
 
 import equinox as eqx
@@ -60,10 +61,7 @@ def of(name, **changes):
     made = assembled(
         Section.model_validate({"preset": name, **library.preset("machines", name)})
     )
-    changes = {key: jnp.asarray(value) for key, value in changes.items()}
-    return eqx.tree_at(
-        lambda m: [getattr(m, k) for k in changes], made, [*changes.values()]
-    )
+    return dataclasses.replace(made, **changes)
 
 
 def axis_at(tilt, turn):
