@@ -197,9 +197,7 @@ def rims(
         sunk = jnp.einsum("...a,ab,...b->...", d, curvature, d)
         return process.displacement - slope * x - 0.5 * sunk
 
-    loop = jnp.stack(
-        [_loop(n + 1, process.trochoid_radius * k[:, n]) for n in range(HARMONICS)], axis=1
-    )
+    loop = _loop(order[:, None], process.trochoid_radius * k)
     # dk across V, over 2 pi |V|; both signs of n
     measure = k / jnp.cos(angle)[None, None, :] * weight[None, None, :]
     measure = measure / (jnp.pi * swift)[:, None, None]
@@ -214,17 +212,18 @@ def rims(
     )
 
 
-def _loop(order: int, x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def _loop(order: Float[Array, "*n"], x: Float[Array, "*m"]) -> Float[Array, "*m"]:
     r"""Squared transform of a circle run through once, $J_n(x)^2$; its mean for large x.
 
-    The mean over a period is $1/(\pi\sqrt{x^2 - n^2})$.
+    The mean over a period is $1/(\pi\sqrt{x^2 - n^2})$. `order` and x are broadcast.
     """
     phase = np.pi / INTERVALS * np.arange(INTERVALS + 1)
     ends = np.where(np.arange(INTERVALS + 1) % INTERVALS == 0, 0.5, 1.0) / INTERVALS
-    flat = jnp.minimum(x, SMOOTH).reshape(-1, 1)
-    lag = flat * jnp.asarray(np.sin(phase), dtype=x.dtype)[None, :]
-    turned = jnp.asarray(order * phase, dtype=x.dtype)[None, :] - lag
-    bessel = (jnp.cos(turned) @ jnp.asarray(ends, dtype=x.dtype)).reshape(x.shape)
+    sine, phase, ends = (
+        jnp.asarray(y, dtype=x.dtype) for y in (np.sin(phase), phase, ends)
+    )
+    turned = order[..., None] * phase - jnp.minimum(x, SMOOTH)[..., None] * sine
+    bessel = jnp.cos(turned) @ ends
     mean = 1 / (jnp.pi * jnp.sqrt(jnp.maximum(x, EXACT) ** 2 - order**2))
     t = jnp.clip((x - EXACT) / (SMOOTH - EXACT), 0.0, 1.0)
     share = t * t * (3 - 2 * t)
