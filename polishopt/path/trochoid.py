@@ -34,12 +34,12 @@ def trochoid(
 
     Source: S0 (Pessoles & Tournier 2009), eqs. (5) and (10).
     """
-    # turning the left normal clockwise by the phase leads to the tangent
-    ways = jnp.stack([point.heading, point.heading - phase])
-    lefts = jnp.stack([-jnp.sin(ways), jnp.cos(ways)])
+    # the left normals of the guide, and of its heading turned clockwise by the phase
+    drift, swung = step / (2 * jnp.pi), point.heading - phase
+    across = -drift * jnp.sin(point.heading) - radius * jnp.sin(swung)
+    up = drift * jnp.cos(point.heading) + radius * jnp.cos(swung)
     # lifted, the tool goes straight back
-    wide = lefts @ jnp.stack([step / (2 * jnp.pi), radius])
-    return point.position + point.contact * wide
+    return point.position + point.contact * jnp.stack([across, up])
 
 
 def length_per_loop(step: Scalar, radius: Scalar, curvature: Scalar) -> Scalar:
