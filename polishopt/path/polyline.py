@@ -115,7 +115,11 @@ class Polyline(Guide):
         i = self.table[jnp.clip(bucket, 0, last).astype(self.table.dtype)]
         i = jnp.where(at >= self.cells.end[i], i + 1, i)
         i = jnp.minimum(i, self.cells.end.size - 1)
-        cell = jax.tree.map(lambda x: x.at[i].get(mode="promise_in_bounds"), self.cells)
+
+        def of(x):
+            return x.at[i].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+        cell = jax.tree.map(of, self.cells)
         return self._within(cell, at - cell.start)
 
     def _within(self, cell: Cells, x: Scalar) -> GuidePoint:
@@ -125,10 +129,12 @@ class Polyline(Guide):
         arc = cell.leg * shape.length
         rest = x - (cell.entry - cell.leg)
         inside = (rest >= 0) & (rest < arc)
-        # a sharp corner has neither leg nor arc, and nothing is ever inside it
-        t = rest / jnp.where(inside, arc, 1.0)
+        # a sharp corner has neither leg nor arc, and nothing is ever inside it; elsewhere
+        # a joint is the same from both sides, should rounding tell them apart differently
+        rounded = arc > 0
+        t = rest / jnp.where(rounded, arc, 1.0)
         t = jnp.where(inside, t, jnp.where(rest < 0, 0.0, 1.0))
-        bend = unit_curvature(self.corner, shape, t) / jnp.where(inside, cell.leg, 1.0)
+        bend = unit_curvature(self.corner, shape, t) / jnp.where(rounded, cell.leg, 1.0)
         curvature = cell.turn * jnp.where(inside, bend, 0.0)
         lifting = t**3 * (10 - 15 * t + 6 * t * t)
         still = jax.lax.stop_gradient((x, rest, t))
