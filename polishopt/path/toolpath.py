@@ -36,7 +36,7 @@ class Posture(eqx.Module):
     """Contact point in the parameter plane [mm]."""
 
     @property
-    def side(self) -> Float[Array, "3"]:
+    def side(self) -> Float[Array, "*n 3"]:
         """Unit tangent to the left of `feed_direction`, b = n x f [-]."""
         return jnp.cross(self.normal, self.feed_direction)
 
