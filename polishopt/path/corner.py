@@ -104,7 +104,7 @@ def unit_corner(
     v = 2 * square - 1
     both = jnp.zeros((2, *v.shape), v.dtype)
     for powers in reversed(list(jnp.stack([shape.cosines, shape.sines], axis=1))):
-        both = both * v + jnp.expand_dims(powers, range(1, 1 + v.ndim))
+        both = both * v[None] + jnp.expand_dims(powers, range(1, 1 + v.ndim))
     even, odd = both
     # integrals from the start, where z = -1, of the cosine and the sine of h
     cosines = z * even + shape.half_chord
