@@ -171,10 +171,10 @@ def along(process: Process, setup: Setup) -> Stations:
         )
         flat = tuple(jnp.where(process.displacement > 0, one, 0.0) for one in flat)
 
-    def place_at(process, s, phase):
+    def place_at(process, point, phase):
         return posture(
             surface,
-            setup.guide(s),
+            point,
             phase,
             process,
             setup.tool.radius,
@@ -186,29 +186,34 @@ def along(process: Process, setup: Setup) -> Stations:
         zero, one = jnp.zeros_like(s), jnp.ones_like(s)
 
         def move(t):
-            place = place_at(process, s + t, phase + 2 * jnp.pi * t / process.step)
+            point = setup.guide(s + t)
+            place = place_at(process, point, phase + 2 * jnp.pi * t / process.step)
             way = place.contact
             if "stretch" in setup.idealised:
                 way = jnp.pad(place.xy, (0, 1))
             angles, _ = rotary(place.axis, machine)
-            return (way, place.axis, (place.tip, angles)), (place, angles)
+            return (way, place.axis, (place.tip, angles)), (place, angles, point.contact)
 
         def moving(t):
             _, slopes, there = jax.jvp(move, (t,), (one,), has_aux=True)
             return slopes, there
 
-        (tangent, turning, first), (_, _, second), (place, angles) = jax.jvp(
+        (tangent, turning, first), (_, _, second), (place, angles, contact) = jax.jvp(
             moving, (zero,), (one,), has_aux=True
         )
         pace = one
         # else the axis keeps its distance from the pole
         if not setup.flat or process.wedged:
-            _, aside = jax.jvp(lambda s: place_at(process, s, phase).axis, (s,), (one,))
+
+            def axis_at(s):
+                return place_at(process, setup.guide(s), phase).axis
+
+            _, aside = jax.jvp(axis_at, (s,), (one,))
             # a cell that stands for others does so with the pole as it is in each of them
             cell = jnp.stack([spacing * turning, weight / one_in * aside])
             pace = pole_pace(place.axis, cell, machine)
         dq, ddq = axis_slopes((place.tip, angles), first, second, pace, machine)
-        return place, tangent, dq, ddq
+        return place, contact, tangent, dq, ddq
 
     def touch(nodes, place, tangent, speed, dwell):
         f, b = place.feed_direction, place.side
@@ -231,12 +236,11 @@ def along(process: Process, setup: Setup) -> Stations:
         if setup.holds:
             found = held_displacement(process, setup, loop_bend(process, setup, s))
             here = dataclasses.replace(process, displacement=found)
-        place, tangent, dq, ddq = jax.vmap(at, in_axes=(None, None, None, 0))(
-            here, s, weight, phases
-        )
+        place, contact, tangent, dq, ddq = jax.vmap(
+            at, in_axes=(None, None, None, 0), out_axes=(0, None, 0, 0, 0)
+        )(here, s, weight, phases)
         rate = jnp.sqrt(jnp.sum(tangent**2, axis=1))
         speed = loop_rate(dq, ddq, rate, spacing, process.feed, limits)
-        contact = setup.guide(s).contact
         idle = jnp.sum((1 - contact) * weight / count / speed)
         weight = contact * weight
         dwell = weight / count / speed

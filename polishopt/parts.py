@@ -162,10 +162,12 @@ class Machine(eqx.Module):
     )
     """Origin of the part, all axes at zero, from the pivot of the rotary axis next to it,
     or from the machine's origin where no table turns it [mm]."""
-    wedge: Float[Array, "3"] = eqx.field(
-        converter=as_array, default_factory=lambda: jnp.zeros(3)
+    wedge: tuple[Scalar | None, ...] = eqx.field(
+        converter=lambda angles: tuple(scalar_or_none(angle) for angle in angles),
+        default=(None, None, None),
     )
-    """How the part is turned on what carries it: about X, then Y, then Z [rad]."""
+    """How the part is turned on what carries it: about X, then Y, then Z; None is not at
+    all, and known before anything is compiled [rad]."""
     branch: int = eqx.field(static=True, default=0)
     """Which solution of the rotary axes is run: 0 for the one that has the rotary axis
     next to the tool at the larger angle, 1 for the other one."""

@@ -308,7 +308,7 @@ def _standing(process: Process, setup: Setup, config: StepConfig):
     """How the part stands on what carries it; nothing where it was not moved."""
     machine, places = placed(setup.machine, process), config.program.decimals
     offset = np.asarray(machine.offset)
-    wedge = np.degrees(np.asarray(machine.wedge))
+    wedge = np.degrees([0.0 if angle is None else float(angle) for angle in machine.wedge])
     turned = [machine.names[axis] for axis in sides(machine)[0] if axis > 2]
     pivot = f"the pivot of {turned[0]}" if turned else "the machine's origin"
     told = (

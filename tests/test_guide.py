@@ -21,7 +21,7 @@ from polishopt.path import (
     segments,
     spiral,
 )
-from polishopt.path.corner import shapes, unit_corner
+from polishopt.path.corner import shapes, unit_corner, unit_curvature
 from polishopt.path.families import hilbert_cells
 from polishopt.path.polyline import Polyline
 
@@ -196,7 +196,7 @@ def test_smooth_corner_against_quadrature():
     def corners(t):
         return jax.vmap(lambda shape: unit_corner("smooth", shape, t))(made)
 
-    along, across, heading, _ = jax.jit(jax.vmap(corners))(jnp.asarray(t))
+    along, across, heading = jax.jit(jax.vmap(corners))(jnp.asarray(t))
     for i, (angle, length) in enumerate(zip(angles, made.length, strict=True)):
         tau = t[:, None] * (x + 1) / 2
         h = angle * (6 * tau**5 - 15 * tau**4 + 10 * tau**3)
@@ -207,6 +207,46 @@ def test_smooth_corner_against_quadrature():
         assert_close(heading[:, i], end, atol=1e-15)
         want = [1 + np.cos(angle), np.sin(angle)]
         assert_close(jnp.stack([along[-1, i], across[-1, i]]), want, atol=near)
+
+
+def derivatives(function, at, order):
+    """A function of a number and its derivatives up to an order, forwards."""
+    found = [function]
+    for _ in range(order):
+        before = found[-1]
+        found.append(lambda x, f=before: jax.jvp(f, (x,), (jnp.ones_like(x),))[1])
+    return jnp.stack([f(at) for f in found])
+
+
+@pytest.mark.parametrize("corner", ["smooth", "arc"])
+def test_derivatives_within_a_corner_are_those_of_its_formula(corner):
+    """By arc length up to the third, and these by the pitch, forwards and in reverse."""
+    guide = polyline(np.array([[0, 0], [1, 0], [1.5, 1.0]]), 4.0, corner, 0.4)
+    cell = jax.tree.map(lambda x: x[1], guide.cells)
+    shape = jax.tree.map(lambda x: x[0], guide.shapes)
+    begin, arc = cell.start + cell.entry - cell.leg, cell.leg * shape.length
+
+    def known(s, pitch):
+        at = eqx.tree_at(lambda g: g.pitch, guide, pitch)(s)
+        return jnp.stack([*at.position, at.heading, at.curvature])
+
+    def plain(s, pitch):
+        t = (s / pitch - begin) / arc
+        along, across, heading = unit_corner(corner, shape, t)
+        bend = unit_curvature(corner, shape, t) / (cell.leg * pitch)
+        x, y = 1 + cell.leg * (along - 1), cell.leg * across
+        return jnp.stack([pitch * x, pitch * y, heading, bend])
+
+    def orders(function):
+        def all_orders(s, pitch):
+            return derivatives(lambda s: function(s, pitch), s, 3)
+
+        found = (all_orders, jax.jacfwd(all_orders, 1), jax.jacrev(all_orders, 1))
+        return [jax.jit(jax.vmap(f, (0, None))) for f in found]
+
+    s = guide.pitch * (begin + arc * jnp.linspace(0.03, 0.97, 20))
+    for got, want in zip(orders(known), orders(plain), strict=True):
+        assert_close(got(s, guide.pitch), want(s, guide.pitch), rtol=1e-8, atol=1e-8)
 
 
 @EACH

@@ -1,5 +1,6 @@
 """Kinematics: there and back is the identity, and the pole is harmless."""
 
+import dataclasses
 import functools
 
 import equinox as eqx
@@ -12,7 +13,14 @@ from polishopt.files import library
 from polishopt.files.assemble import machine as assembled
 from polishopt.files.given import Machine as Section
 from polishopt.machine import Kind, faults, forward, inverse, inverse_path, reasons, route
-from polishopt.machine.kinematics import direction, reach, sides
+from polishopt.machine.kinematics import (
+    _angle,
+    direction,
+    motion,
+    positions,
+    reach,
+    sides,
+)
 from polishopt.parts import Machine
 
 
@@ -60,10 +68,7 @@ def of(name, **changes):
     made = assembled(
         Section.model_validate({"preset": name, **library.preset("machines", name)})
     )
-    changes = {key: jnp.asarray(value) for key, value in changes.items()}
-    return eqx.tree_at(
-        lambda m: [getattr(m, k) for k in changes], made, [*changes.values()]
-    )
+    return dataclasses.replace(made, **changes)
 
 
 def axis_at(tilt, turn):
@@ -106,6 +111,40 @@ def test_forward_undoes_inverse(name):
     # and they are two
     apart = jnp.sin(0.5 * (both[0][0] - both[1][0])[:, 3:])
     assert jnp.max(jnp.abs(apart)) > 0.1
+
+
+@pytest.mark.parametrize("name", ["mikron_ucp710", "head_head_ca", *ODD])
+def test_motion_is_the_derivatives_of_the_positions(name):
+    """Once and twice along a path, and by what the path is made of, in reverse too."""
+    rng = np.random.default_rng(4)
+    tips, angles = (jnp.asarray(rng.normal(size=(3, n))) for n in (3, 2))
+    machine = of(name)
+
+    def known(tips, angles):
+        return jnp.stack(motion(list(tips), [tuple(a) for a in angles], machine))
+
+    def plain(tips, angles):
+        def at(t):
+            tip, turned = (x[0] + t * x[1] + t**2 / 2 * x[2] for x in (tips, angles))
+            return positions(tip, tuple(turned), machine)
+
+        slope, bend = jax.jacfwd(at), jax.jacfwd(jax.jacfwd(at))
+        return jnp.stack([f(jnp.zeros(())) for f in (at, slope, bend)])
+
+    for take in (lambda f: f, lambda f: jax.jacfwd(f, (0, 1)), lambda f: jax.jacrev(f, 1)):
+        got, want = (jax.jit(take(f))(tips, angles) for f in (known, plain))
+        for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
+            assert_close(a, b, rtol=1e-10, atol=1e-9)
+
+
+def test_an_angle_has_the_derivatives_of_the_arctangent():
+    """Up to the third order."""
+    x = jnp.asarray([0.3, -0.4])
+
+    def third(f):
+        return jax.jacfwd(jax.jacfwd(jax.jacrev(lambda x: f(x[0], x[1]))))(x)
+
+    assert_close(third(_angle), third(jnp.arctan2), rtol=1e-12, atol=1e-12)
 
 
 def test_an_oblique_axis_reaches_half_the_sphere():

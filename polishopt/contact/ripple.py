@@ -197,9 +197,7 @@ def rims(
         sunk = jnp.einsum("...a,ab,...b->...", d, curvature, d)
         return process.displacement - slope * x - 0.5 * sunk
 
-    loop = jnp.stack(
-        [_loop(n + 1, process.trochoid_radius * k[:, n]) for n in range(HARMONICS)], axis=1
-    )
+    loop = _loop(process.trochoid_radius * k)
     # dk across V, over 2 pi |V|; both signs of n
     measure = k / jnp.cos(angle)[None, None, :] * weight[None, None, :]
     measure = measure / (jnp.pi * swift)[:, None, None]
@@ -214,18 +212,22 @@ def rims(
     )
 
 
-def _loop(order: int, x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def _loop(
+    x: Float[Array, "bends harmonics waves"],
+) -> Float[Array, "bends harmonics waves"]:
     r"""Squared transform of a circle run through once, $J_n(x)^2$; its mean for large x.
 
     The mean over a period is $1/(\pi\sqrt{x^2 - n^2})$.
     """
-    phase = np.pi / INTERVALS * np.arange(INTERVALS + 1)
+    order = np.arange(1, x.shape[1] + 1)[None, :, None]
+    phase = np.pi / INTERVALS * np.arange(INTERVALS + 1)[None, None, None, :]
     ends = np.where(np.arange(INTERVALS + 1) % INTERVALS == 0, 0.5, 1.0) / INTERVALS
-    flat = jnp.minimum(x, SMOOTH).reshape(-1, 1)
-    lag = flat * jnp.asarray(np.sin(phase), dtype=x.dtype)[None, :]
-    turned = jnp.asarray(order * phase, dtype=x.dtype)[None, :] - lag
-    bessel = (jnp.cos(turned) @ jnp.asarray(ends, dtype=x.dtype)).reshape(x.shape)
-    mean = 1 / (jnp.pi * jnp.sqrt(jnp.maximum(x, EXACT) ** 2 - order**2))
+    lag = jnp.minimum(x, SMOOTH)[..., None] * jnp.asarray(np.sin(phase), dtype=x.dtype)
+    turned = jnp.asarray(order[..., None] * phase, dtype=x.dtype) - lag
+    bessel = jnp.cos(turned) @ jnp.asarray(ends, dtype=x.dtype)
+    mean = 1 / (
+        jnp.pi * jnp.sqrt(jnp.maximum(x, EXACT) ** 2 - jnp.asarray(order**2, dtype=x.dtype))
+    )
     t = jnp.clip((x - EXACT) / (SMOOTH - EXACT), 0.0, 1.0)
     share = t * t * (3 - 2 * t)
     return (1 - share) * bessel**2 + share * mean

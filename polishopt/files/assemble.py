@@ -331,7 +331,7 @@ def machine(asked: MachineSection) -> Machine:
         lower=[low for low, _ in travel],
         upper=[high for _, high in travel],
         offset=placed["offset"],
-        wedge=placed["wedge"],
+        wedge=[angle or None for angle in placed["wedge"]],
         branch=int(-low > high),
     )
 

@@ -17,6 +17,7 @@ choice between solutions belong to `route`; collisions are not looked at.
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import jax
@@ -30,6 +31,8 @@ from ..parts import Machine, Process, Scalar
 Fixed = tuple[float, float, float]
 # Coordinates; those that are known beforehand are plain numbers.
 Triple = Sequence[Scalar | float]
+# Coordinates, and as many derivatives of them by a path parameter as are asked for.
+Motion = list[Triple]
 
 UNITS: dict[str, Fixed] = {
     "X": (1.0, 0.0, 0.0),
@@ -50,14 +53,14 @@ def placed(machine: Machine, process: Process) -> Machine:
         machine: The machine, as the part stands without these settings.
         process: Its shifts and wedges are read; None moves nothing.
     """
-    moved = {}
+    sums = {}
     for name, word in (("offset", "shift"), ("wedge", "wedge")):
         more = [getattr(process, f"{word}_{way}") for way in "xyz"]
         if any(one is not None for one in more):
             own = getattr(machine, name)
-            sums = [a if b is None else a + b for a, b in zip(own, more, strict=True)]
-            moved[name] = jnp.stack(sums)
-    return dataclasses.replace(machine, **moved) if moved else machine
+            pairs = zip(own, more, strict=True)
+            sums[name] = [a if b is None else b if a is None else a + b for a, b in pairs]
+    return dataclasses.replace(machine, **sums) if sums else machine
 
 
 def direction(machine: Machine, axis: int) -> Fixed:
@@ -119,8 +122,7 @@ def forward(
         else:
             tip = _add(tip, [c * axes[axis] for c in along])
     tip = _add(tip, _origin(machine), -1.0)
-    back = list(zip(reversed(UNITS.values()), machine.wedge[::-1], strict=True))
-    for about, angle in back:
+    for about, angle in reversed(_wedge(machine)):
         tip, way = _turned(about, -angle, tip), _turned(about, -angle, way)
     return jnp.stack(tip), jnp.stack(way)
 
@@ -219,14 +221,13 @@ def rotary(
     branch = machine.branch if branch is None else branch
     (one, two), signs = _pair(machine)
     c, p = _constants(one, two)
-    v = _placed_axis(axis, machine)
+    v = _seated(axis, machine)
     k, square, gram = _gram(v, one, c, p)
     pole = square <= jnp.finfo(square.dtype).tiny
-    # double where: neither the root nor atan2 sees the corner, even when differentiated
+    # double where: neither the root nor an angle sees the corner, even when differentiated
     edge = pole | (gram <= 0.0)
     root = jnp.where(edge, 0.0, jnp.sqrt(jnp.where(edge, 1.0, gram)))
-    lean = jnp.where(edge, jax.lax.stop_gradient(k), k) - c * p
-    spread = jnp.where(edge, jnp.where(lean < 0.0, jnp.pi, 0.0), jnp.arctan2(root, lean))
+    spread = _angle(root, k - c * p)
     delta = float(np.arctan2(np.dot(one, np.cross(two, SPINDLE)), one[2] - c * p))
     # the larger position of the second axis is the larger or the smaller angle
     upper = (signs[1] > 0) == (branch == 0)
@@ -236,12 +237,12 @@ def rotary(
     at = [
         _dot(way, v) for way in (np.subtract(two, np.multiply(c, one)), np.cross(one, two))
     ]
-    found = jnp.arctan2(jnp.where(pole, 0.0, at[1]), jnp.where(pole, 1.0, at[0]))
+    found = _angle(jnp.where(pole, 0.0, at[1]), jnp.where(pole, 1.0, at[0]))
     if c == 0.0 == p:
         leant = -np.pi / 2 if upper else np.pi / 2
     else:
         side = jnp.where(pole, 0.0, -root if upper else root)
-        leant = jnp.arctan2(side, jnp.where(pole, 1.0, p - c * k))
+        leant = _angle(side, jnp.where(pole, 1.0, p - c * k))
     first = signs[0] * jnp.where(pole, 0.0, found - leant)
     return (first, signs[1] * second), pole
 
@@ -253,7 +254,7 @@ def reach(axis: Float[Array, "3"], machine: Machine) -> Scalar:
     axes are orthogonal to each other and the second one to the spindle [-].
     """
     one, two = _pair(machine)[0]
-    return _gram(_placed_axis(axis, machine), one, *_constants(one, two))[2]
+    return _gram(_seated(axis, machine), one, *_constants(one, two))[2]
 
 
 def pole_distance(axis: Float[Array, "3"], machine: Machine) -> Scalar:
@@ -268,30 +269,54 @@ def beside_pole(axis: Float[Array, "3"], machine: Machine) -> Float[Array, "3"]:
     Zero at the pole, and linear in the axis: of a derivative it is the derivative.
     """
     (one, _), _ = _pair(machine)
-    return jnp.stack(_cross(one, _placed_axis(axis, machine)))
+    return jnp.stack(_cross(one, _seated(axis, machine)))
 
 
 def positions(
     tip: Float[Array, "3"], angles: tuple[Scalar, Scalar], machine: Machine
 ) -> Float[Array, "5"]:
     """All five axes, once the rotary ones are chosen (next to the part first)."""
+    return motion([tip], [angles], machine)[0]
+
+
+def motion(
+    tips: Sequence[Float[Array, "3"]],
+    angles: Sequence[tuple[Scalar, Scalar]],
+    machine: Machine,
+) -> list[Float[Array, "5"]]:
+    r"""All five axes, and their derivatives by a path parameter, as many as are given.
+
+    A rotary axis takes x to $R y$ with $y = x$. What it carries moves as in a turning
+    frame, with the first and second derivatives $\omega$ and $\alpha$ of its angle:
+    $(R y)' = R\,(x' + \omega\, e \times x) = R y_1$ and
+    $(R y)'' = R\,(x'' + \omega\, e \times (x' + y_1) + \alpha\, e \times x)$.
+
+    Args:
+        tips: Tool tip on the part [mm], and if asked for its first, and second derivative.
+        angles: Angles of the rotary axes, next to the part first [rad], and the same.
+        machine: The machine.
+
+    Source: Own derivation; the terms are those of Coriolis, Euler, and the centripetal one.
+    """
     table, head = sides(machine)
-    turned = dict(zip(rotary_order(machine), angles, strict=True))
-    at: Triple = list(tip)
-    for about, angle in zip(UNITS.values(), machine.wedge, strict=True):
-        at = _turned(about, angle, at)
-    at = _add(at, _origin(machine))
-    ways: dict[int, Triple] = {}
+    numbers = rotary_order(machine)
+    turned = dict(zip(numbers, zip(*angles, strict=True), strict=True))
+    at: Motion = [_seated(tip, machine) for tip in tips]
+    at[0] = _add(at[0], _origin(machine))
+    ways: dict[int, Motion] = {}
     for axis in table:
         at, ways = _carried(machine, axis, turned, at, ways)
-    tip_at: Triple = [jnp.zeros_like(at[0])] * 3
-    over: dict[int, Triple] = {}
+    tip_at: Motion = [[0.0] * 3 for _ in tips]
+    over: dict[int, Motion] = {}
     for axis in head:
         tip_at, over = _carried(machine, axis, turned, tip_at, over)
     ways = ways | over
-    linear = _solve([ways[i] for i in range(3)], _add(at, tip_at, -1.0))
+    gaps = [_add(a, b, -1.0) for a, b in zip(at, tip_at, strict=True)]
+    linear = _solve([ways[i] for i in range(3)], gaps)
     first, second = sorted(turned)
-    return jnp.stack([*linear, turned[first], turned[second]])
+    return [
+        jnp.stack([*x, turned[first][k], turned[second][k]]) for k, x in enumerate(linear)
+    ]
 
 
 def turns(angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -313,6 +338,18 @@ def held(pole: Bool[Array, " n"]) -> Int[Array, " n"]:
     return jnp.where(last < 0, jnp.argmin(pole), last)
 
 
+@jax.custom_jvp
+def _angle(y: Scalar, x: Scalar) -> Scalar:
+    """Angle of (x, y), with a derivative that is cheaper to differentiate again [rad]."""
+    return jnp.arctan2(y, x)
+
+
+@_angle.defjvp
+def _angle_jvp(primals, tangents):
+    (y, x), (dy, dx) = primals, tangents
+    return _angle(y, x), (x * dy - y * dx) / (x * x + y * y)
+
+
 def _pair(machine: Machine) -> tuple[tuple[Fixed, Fixed], tuple[float, float]]:
     """Directions of both rotary axes, next to the part first, and signs of their angles."""
     table, _ = sides(machine)
@@ -330,7 +367,7 @@ def _gram(v: Triple, one: Fixed, c: float, p: float) -> tuple[Scalar, Scalar, Sc
     """Of `rotary`: k, the square of the sine to it, and the Gram determinant."""
     k = _dot(one, v)
     across = _cross(one, v)
-    square = _scalar(across, across)
+    square = sum(c**2 for c in across)
     if c == 0.0 == p:
         return k, square, square
     # c - k p, without a difference of nearly equal numbers at the pole
@@ -339,10 +376,16 @@ def _gram(v: Triple, one: Fixed, c: float, p: float) -> tuple[Scalar, Scalar, Sc
     return k, square, square * (1.0 - p**2) - jnp.where(k < 0.0, down, up) ** 2
 
 
-def _placed_axis(axis: Float[Array, "3"], machine: Machine) -> Triple:
-    """The tool axis as the wedge under the part turns it."""
-    way: Triple = list(axis)
-    for about, angle in zip(UNITS.values(), machine.wedge, strict=True):
+def _wedge(machine: Machine) -> list[tuple[Fixed, Scalar]]:
+    """The turns of the part on what carries it, in their order, without those of none."""
+    turns = zip(UNITS.values(), machine.wedge, strict=True)
+    return [(about, angle) for about, angle in turns if angle is not None]
+
+
+def _seated(vector: Float[Array, "3"], machine: Machine) -> Triple:
+    """A vector of the part as the wedge under it turns it."""
+    way: Triple = list(vector)
+    for about, angle in _wedge(machine):
         way = _turned(about, angle, way)
     return way
 
@@ -360,27 +403,59 @@ def _origin(machine: Machine) -> Triple:
     return list(machine.offset + machine.pivots[table[0] - 3] if table else machine.offset)
 
 
-def _carried(machine: Machine, axis: int, turned, at, ways):
+def _carried(
+    machine: Machine, axis: int, turned: dict, at: Motion, ways: dict[int, Motion]
+) -> tuple[Motion, dict[int, Motion]]:
     """What an axis carries, moved on by it: a place, and directions of linear axes.
 
     A linear axis only adds its direction: how far it moves is still unknown.
     """
+    along = direction(machine, axis)
     if axis < 3:
-        return at, ways | {axis: direction(machine, axis)}
-    along, angle = direction(machine, axis), turned[axis]
-    ways = {k: _turned(along, angle, list(way)) for k, way in ways.items()}
-    return _about(machine, axis, angle, at), ways
+        return at, ways | {axis: [along, *([0.0] * 3 for _ in at[1:])]}
+    ways = {k: _swung(along, turned[axis], way) for k, way in ways.items()}
+    pivot = list(machine.pivots[axis - 3])
+    at = _swung(along, turned[axis], [_add(at[0], pivot, -1.0), *at[1:]])
+    return [_add(at[0], pivot), *at[1:]], ways
 
 
-def _solve(ways: Sequence[Triple], right: Triple) -> Triple:
+def _swung(about: Fixed, angle: Sequence[Scalar], x: Motion) -> Motion:
+    """What moves, as seen from where a turning axis carries it; see `motion`."""
+    y = list(x)
+    if len(x) > 1:
+        y[1] = _whirled(about, angle[1], x[0], x[1])
+    if len(x) > 2:
+        y[2] = _whirled(about, angle[1], _add(x[1], y[1]), x[2])
+        y[2] = _whirled(about, angle[2], x[0], y[2])
+    return _turned_all(about, angle[0], y)
+
+
+def _whirled(about: Fixed, rate: Scalar, v: Triple, to: Triple) -> Triple:
+    """A rate times the vector product with a fixed direction, added to something."""
+    return [
+        b if isinstance(a, float) and a == 0.0 else b + rate * a
+        for a, b in zip(_cross(about, v), to, strict=True)
+    ]
+
+
+def _solve(ways: Sequence[Motion], right: Motion) -> Motion:
     """The x with the sum of x_i ways_i = right."""
-    if all(isinstance(c, float) for way in ways for c in way):
-        inverse = np.linalg.inv(np.asarray(ways, dtype=float).T)
-        return [_dot(row, right) for row in inverse]
-    one, two, three = ([jnp.asarray(c) for c in way] for way in ways)
+    if all(isinstance(c, float) for way in ways for order in way for c in order):
+        inverse = np.linalg.inv(np.asarray([way[0] for way in ways], dtype=float).T)
+        return [[_dot(row, r) for row in inverse] for r in right]
+    columns = [[[jnp.asarray(c) for c in v] for v in way] for way in ways]
+    one, two, three = (way[0] for way in columns)
     over = [_crossed(two, three), _crossed(three, one), _crossed(one, two)]
     volume = _scalar(one, over[0])
-    return [_scalar(row, right) / volume for row in over]
+    found: Motion = []
+    # by the product rule, what the ways' own derivatives leave to the next x
+    for order, rest in enumerate(right):
+        for k, x in enumerate(found):
+            times = math.comb(order, k)
+            for way, along in zip(columns, x, strict=True):
+                rest = _add(rest, [times * along * c for c in way[order - k]], -1.0)
+        found.append([_scalar(row, rest) / volume for row in over])
+    return found
 
 
 def _about(machine: Machine, axis: int, angle: Scalar, at: Triple) -> Triple:
@@ -391,19 +466,26 @@ def _about(machine: Machine, axis: int, angle: Scalar, at: Triple) -> Triple:
 
 def _turned(about: Fixed, angle: Scalar, v: Triple) -> Triple:
     """A vector turned about a fixed direction."""
+    return _turned_all(about, angle, [v])[0]
+
+
+def _turned_all(about: Fixed, angle: Scalar, vectors: Sequence[Triple]) -> list[Triple]:
+    """Vectors turned about a fixed direction."""
     c, s = jnp.cos(angle), jnp.sin(angle)
     on = [i for i in range(3) if about[i] != 0.0]
-    if len(on) == 1:  # written out: far less to differentiate
-        i, j, k = on[0], (on[0] + 1) % 3, (on[0] + 2) % 3
-        s = s if about[i] > 0.0 else -s
-        out = list(v)
-        if all(isinstance(x, float) and x == 0.0 for x in (v[j], v[k])):
-            return out
-        out[j], out[k] = c * v[j] - s * v[k], s * v[j] + c * v[k]
-        return out
-    along = _dot(about, v)
-    aside = _cross(about, v)
-    return [c * v[i] + s * aside[i] + (1.0 - c) * along * about[i] for i in range(3)]
+    out = []
+    for v in vectors:
+        if len(on) == 1:  # written out: far less to differentiate
+            i, j, k = on[0], (on[0] + 1) % 3, (on[0] + 2) % 3
+            way = s if about[i] > 0.0 else -s
+            w = list(v)
+            if not all(isinstance(x, float) and x == 0.0 for x in (v[j], v[k])):
+                w[j], w[k] = c * v[j] - way * v[k], way * v[j] + c * v[k]
+        else:
+            along, aside = _dot(about, v), _cross(about, v)
+            w = [c * v[i] + s * aside[i] + (1.0 - c) * along * about[i] for i in range(3)]
+        out.append(w)
+    return out
 
 
 def _add(a: Triple, b, sign: float = 1.0) -> Triple:
@@ -411,14 +493,14 @@ def _add(a: Triple, b, sign: float = 1.0) -> Triple:
     return [x + y if sign > 0.0 else x - y for x, y in zip(a, b, strict=True)]
 
 
-def _dot(fixed, v: Triple) -> Scalar:
+def _dot(fixed, v: Triple) -> Scalar | float:
     """Product with a fixed vector, without its zeros."""
     total = None
     for f, x in zip(fixed, v, strict=True):
         if f != 0.0:
             term = x if f == 1.0 else float(f) * x
             total = term if total is None else total + term
-    return jnp.asarray(0.0 if total is None else total)
+    return 0.0 if total is None else total
 
 
 def _cross(fixed: Fixed, v: Triple) -> Triple:

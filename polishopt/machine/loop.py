@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..parts import Machine, Scalar
-from .kinematics import beside_pole, positions
+from .kinematics import beside_pole, motion
 from .sweep import Limits
 
 
@@ -84,18 +84,11 @@ def axis_slopes(
         pace: By how much faster the rotary axes turn than that.
         machine: The machine.
     """
-    once = (first[0], tuple(pace * rate for rate in first[1]))
-    twice = (second[0], tuple(pace**2 * rate for rate in second[1]))
-
-    def axes(t):
-        tip, angles = jax.tree.map(lambda x, v, a: x + t * (v + t / 2 * a), at, once, twice)
-        return positions(tip, angles, machine)
-
-    def moving(t):
-        return jax.jvp(axes, (t,), (jnp.ones_like(t),))[1]
-
-    zero = jnp.zeros_like(pace)
-    return jax.jvp(moving, (zero,), (jnp.ones_like(zero),))
+    once = tuple(pace * rate for rate in first[1])
+    twice = tuple(pace**2 * rate for rate in second[1])
+    tips = [at[0], first[0], second[0]]
+    _, dq, ddq = motion(tips, [at[1], once, twice], machine)
+    return dq, ddq
 
 
 def loop_rate(

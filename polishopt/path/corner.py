@@ -88,34 +88,42 @@ def unit_corner(
         t: Arc length from its start over its whole arc length, in [0, 1].
 
     Returns:
-        Position along the entry direction and across it, from its start [legs]; heading
-        [rad]; and curvature [1/leg].
+        Position along the entry direction and across it, from its start [legs]; and
+        heading [rad].
     """
     angle = shape.angle
     if corner == "sharp":
         zero = jnp.zeros_like(t)
-        return zero, zero, angle * t, zero
+        return zero, zero, angle * t
     if corner == "arc":
         heading = angle * t
         radius = shape.length / angle
-        bend = jnp.ones_like(t) / radius
-        return radius * jnp.sin(heading), radius * (1 - jnp.cos(heading)), heading, bend
+        return radius * jnp.sin(heading), radius * (1 - jnp.cos(heading)), heading
     z = 2 * t - 1
     square = z * z
     v = 2 * square - 1
-    even, odd = jnp.zeros_like(z), jnp.zeros_like(z)
-    for k in reversed(range(DEGREE + 1)):
-        even = even * v + shape.cosines[k]
-        odd = odd * v + shape.sines[k]
+    both = jnp.zeros((2, *v.shape), v.dtype)
+    for powers in reversed(list(jnp.stack([shape.cosines, shape.sines], axis=1))):
+        both = both * v[None] + jnp.expand_dims(powers, range(1, 1 + v.ndim))
+    even, odd = both
     # integrals from the start, where z = -1, of the cosine and the sine of h
     cosines = z * even + shape.half_chord
     sines = square * odd - jnp.sum(shape.sines)
     scale, c, s = shape.length / 2, jnp.cos(angle / 2), jnp.sin(angle / 2)
     heading = angle * t**3 * (10 - 15 * t + 6 * t * t)
-    curvature = angle * 30 * (t * (1 - t)) ** 2 / shape.length
-    return (
-        scale * (c * cosines - s * sines),
-        scale * (s * cosines + c * sines),
-        heading,
-        curvature,
-    )
+    return scale * (c * cosines - s * sines), scale * (s * cosines + c * sines), heading
+
+
+def unit_curvature(corner: str, shape: Shapes, t: Float[Array, "*k"]) -> Float[Array, "*k"]:
+    """Curvature of a `unit_corner` [1/leg].
+
+    Args:
+        corner: As there.
+        shape: As there.
+        t: As there.
+    """
+    if corner == "sharp":
+        return jnp.zeros_like(t)
+    if corner == "arc":
+        return jnp.ones_like(t) * shape.angle / shape.length
+    return shape.angle * 30 * (t * (1 - t)) ** 2 / shape.length

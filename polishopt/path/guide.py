@@ -34,6 +34,36 @@ class GuidePoint(eqx.Module):
     """1 where the tool touches the part, 0 on a way back with the tool lifted [-]."""
 
 
+@jax.custom_jvp
+def by_arc_length(
+    s: Scalar, position: Float[Array, "2"], heading: Scalar, curvature: Scalar
+) -> tuple[Float[Array, "2"], Scalar]:
+    r"""Position and heading of a curve as they are, with their derivatives by arc length.
+
+    $C' = (\cos\vartheta, \sin\vartheta)$ and $\vartheta' = \kappa$, whatever formula gave
+    them. Handed in for a constant s, they bring derivatives by everything else along, and
+    the curvature, which is a function of s itself, brings those of higher order.
+
+    Args:
+        s: Arc length.
+        position: Position at s, C; its unit is that of s.
+        heading: Direction of travel there [rad].
+        curvature: Change of heading per length there.
+
+    Source: Frenet.
+    """
+    return position, heading
+
+
+@by_arc_length.defjvp
+def _by_arc_length_jvp(primals, tangents):
+    position, heading = by_arc_length(*primals)
+    curvature = primals[-1]
+    ds, moved, turned, _ = tangents
+    ahead = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+    return (position, heading), (moved + ahead * ds, turned + curvature * ds)
+
+
 class Bends(eqx.Module):
     """How much of a guide bends how much, for sums over it that ask nothing else.
 

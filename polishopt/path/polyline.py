@@ -23,8 +23,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..parts import Scalar, as_array, as_scalar
-from .corner import CORNERS, Shapes, shapes, unit_corner
-from .guide import Bends, Guide, GuidePoint
+from .corner import CORNERS, Shapes, shapes, unit_corner, unit_curvature
+from .guide import Bends, Guide, GuidePoint, by_arc_length
 
 
 # Turns from here on would reverse the way within next to no length [rad].
@@ -114,7 +114,12 @@ class Polyline(Guide):
         bucket = jnp.floor(jax.lax.stop_gradient(at / total) * self.table.size)
         i = self.table[jnp.clip(bucket, 0, last).astype(self.table.dtype)]
         i = jnp.where(at >= self.cells.end[i], i + 1, i)
-        cell = jax.tree.map(lambda x: x[jnp.minimum(i, x.shape[0] - 1)], self.cells)
+        i = jnp.minimum(i, self.cells.end.size - 1)
+
+        def of(x):
+            return x.at[i].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+        cell = jax.tree.map(of, self.cells)
         return self._within(cell, at - cell.start)
 
     def _within(self, cell: Cells, x: Scalar) -> GuidePoint:
@@ -124,13 +129,31 @@ class Polyline(Guide):
         arc = cell.leg * shape.length
         rest = x - (cell.entry - cell.leg)
         inside = (rest >= 0) & (rest < arc)
-        # a sharp corner has neither leg nor arc, and nothing is ever inside it
-        t = rest / jnp.where(inside, arc, 1.0)
+        # a sharp corner has neither leg nor arc, and nothing is ever inside it; elsewhere
+        # a joint is the same from both sides, should rounding tell them apart differently
+        rounded = arc > 0
+        t = rest / jnp.where(rounded, arc, 1.0)
         t = jnp.where(inside, t, jnp.where(rest < 0, 0.0, 1.0))
-        along, across, heading, curvature = unit_corner(self.corner, shape, t)
-        curvature = jnp.where(inside, curvature / jnp.where(inside, cell.leg, 1.0), 0.0)
-        after = jnp.where(rest < arc, 0.0, rest - arc)
-        along = jnp.where(rest < 0, rest, 0.0) + cell.leg * (along - 1)
+        bend = unit_curvature(self.corner, shape, t) / jnp.where(rounded, cell.leg, 1.0)
+        curvature = cell.turn * jnp.where(inside, bend, 0.0)
+        lifting = t**3 * (10 - 15 * t + 6 * t * t)
+        still = jax.lax.stop_gradient((x, rest, t))
+        place = self._place(cell, shape, *still)
+        position, heading = by_arc_length(x, *place, curvature)
+        return GuidePoint(
+            position=self.pitch * position,
+            heading=heading,
+            curvature=curvature / self.pitch,
+            contact=cell.contact[0] + (cell.contact[1] - cell.contact[0]) * lifting,
+        )
+
+    def _place(
+        self, cell: Cells, shape: Shapes, x: Scalar, rest: Scalar, t: Scalar
+    ) -> tuple[Float[Array, "2"], Scalar]:
+        """Position [pitch] and heading at `x` in a cell, `rest` past its corner's start."""
+        along, across, heading = unit_corner(self.corner, shape, t)
+        after = jnp.maximum(rest - cell.leg * shape.length, 0.0)
+        along = jnp.minimum(rest, 0.0) + cell.leg * (along - 1)
         along = along + after * jnp.cos(shape.angle)
         across = after * jnp.sin(shape.angle) + cell.leg * across
         turns = cell.turn != 0
@@ -138,13 +161,7 @@ class Polyline(Guide):
         across = jnp.where(turns, cell.turn * across, 0.0)
         side = jnp.stack([-cell.direction[1], cell.direction[0]])
         position = cell.vertex + along * cell.direction + across * side
-        lifting = t**3 * (10 - 15 * t + 6 * t * t)
-        return GuidePoint(
-            position=self.pitch * position,
-            heading=cell.heading + cell.turn * heading,
-            curvature=cell.turn * curvature / self.pitch,
-            contact=cell.contact[0] + (cell.contact[1] - cell.contact[0]) * lifting,
-        )
+        return position, cell.heading + cell.turn * heading
 
     def bends(self) -> Bends:
         """The straight part and the bends, for a tool axis that leans along the guide."""
@@ -292,7 +309,7 @@ def _bent(turns: Turns, made: Shapes, corner: str, held: float) -> Bends:
     nodes, weights = np.polynomial.legendre.leggauss(PER_CORNER)
     with jax.ensure_compile_time_eval():
         t = as_array((nodes + 1) / 4)  # a corner is its own mirror image
-        unit = jax.vmap(lambda shape: unit_corner(corner, shape, t)[3])(made)
+        unit = jax.vmap(lambda shape: unit_curvature(corner, shape, t))(made)
     some = (turns.turn != 0) & (turns.arc > 0)  # a sharp corner has no length
     bends = np.zeros((0, PER_CORNER))
     share = np.zeros(0)

@@ -28,14 +28,17 @@ class Posture(eqx.Module):
     """Normal of the part there, out of the material, n [-]."""
     feed_direction: Float[Array, "3"]
     """Unit tangent of the part in which the axis leans, f [-]."""
-    side: Float[Array, "3"]
-    """Unit tangent to the left of it, b = n x f [-]."""
     axis: Float[Array, "3"]
     """Tool axis, from the disc to the spindle, u [-]."""
     tip: Float[Array, "3"]
     """Driven point, the centre of the disc's face, C_E [mm]."""
     xy: Float[Array, "2"]
     """Contact point in the parameter plane [mm]."""
+
+    @property
+    def side(self) -> Float[Array, "*n 3"]:
+        """Unit tangent to the left of `feed_direction`, b = n x f [-]."""
+        return jnp.cross(self.normal, self.feed_direction)
 
 
 def posture(
@@ -100,7 +103,6 @@ def posture(
         contact=contact,
         normal=n,
         feed_direction=f,
-        side=jnp.cross(n, f),
         axis=axis,
         tip=tip,
         xy=xy,

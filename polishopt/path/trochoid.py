@@ -34,14 +34,12 @@ def trochoid(
 
     Source: S0 (Pessoles & Tournier 2009), eqs. (5) and (10).
     """
-    cosine, sine = jnp.cos(point.heading), jnp.sin(point.heading)
-    left = jnp.stack([-sine, cosine])
-    tangent = jnp.stack([cosine, sine])
-    # turning the left normal clockwise by the phase leads to the tangent
-    circle = jnp.cos(phase) * left + jnp.sin(phase) * tangent
+    # the left normals of the guide, and of its heading turned clockwise by the phase
+    drift, swung = step / (2 * jnp.pi), point.heading - phase
+    across = -drift * jnp.sin(point.heading) - radius * jnp.sin(swung)
+    up = drift * jnp.cos(point.heading) + radius * jnp.cos(swung)
     # lifted, the tool goes straight back
-    wide = step / (2 * jnp.pi) * left + radius * circle
-    return point.position + point.contact * wide
+    return point.position + point.contact * jnp.stack([across, up])
 
 
 def length_per_loop(step: Scalar, radius: Scalar, curvature: Scalar) -> Scalar:
