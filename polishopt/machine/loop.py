@@ -37,6 +37,9 @@ BLUR = 0.4
 # The smooth maximum is the norm of order 16, two to this power. With order 8 the time would
 # be up to 3 % longer where axes limit most of a path; higher orders turn more sharply.
 DOUBLINGS = 4
+# How bluntly an axis turns round or stops bending, as a share of what binds there: over the
+# same range as limits take turns.
+BLUNT = 1 / 16
 
 Angles = tuple[Scalar, Scalar]
 
@@ -136,13 +139,10 @@ def loop_rate(
 
     Source: own derivation; limits in path length as in Quinsat et al. (2011), section 2.
     """
-    bend = jnp.abs(ddq) / limits.acceleration[None]
-    inertia = jnp.abs(dq) / (2 * spacing) / limits.acceleration[None]
-    bounds = [
-        ((length_rate / programmed) ** 2)[:, None],
-        (dq / limits.speed[None]) ** 2,
-        bend,
-    ]
+    most = limits.acceleration[None]
+    bend, inertia = ddq / most, dq / (2 * spacing) / most
+    bounds = [((length_rate / programmed) ** 2)[:, None], (dq / limits.speed[None]) ** 2]
+    bounds.append(bend)
     if limits.jerk is not None:
         twist = jnp.abs(_around(ddq)) / spacing / limits.jerk[None]
         twists = twist > 0
@@ -150,11 +150,13 @@ def loop_rate(
         bounds.append(jnp.where(twists, cube**2, 0.0))
     bounds = jnp.concatenate(bounds, axis=1)
     alone = largest(bounds)
+    # sizes, without the corner that an absolute value has; never zero
+    least = (BLUNT * alone[:, None]) ** 2 + jnp.finfo(alone.dtype).tiny
+    bend, inertia = jnp.sqrt(bend**2 + least), jnp.sqrt(inertia**2 + least)
 
     def step(before, sample):
         inertia, bend, alone = sample
-        # not 0/0 where nothing moves
-        before = before[:, None] + jnp.finfo(before.dtype).tiny
+        before = before[:, None]
         reached = largest((inertia + bend) * before / (before + inertia))
         return largest(jnp.stack([alone, reached], axis=-1)), reached
 
