@@ -55,8 +55,10 @@ HIT = 1e-3
 KEPT = 1e-6
 # The search ends at a projected gradient this small, in units of tolerances.
 TOLERANCE = 1e-6
-# Rounds of multipliers, and trial points in each. All starts wait for the last one, and
-# the few that have not ended by then are lost in a corner that others avoid.
+# Rounds of multipliers, and trial points in each; as many as there are settings, if these
+# are more, since curvature is learned along one direction at a point. All starts wait for
+# the last one, and the few that have not ended by then are lost in a corner that others
+# avoid.
 ROUNDS, TRIALS = 10, 10
 # Searches side by side under one `vmap`, and answers from which the cheapest is sought.
 TOGETHER, CHEAPEST = 4, 8
@@ -195,7 +197,17 @@ def _search(places, lower, upper, stage, secondary, tolerance, chain) -> Solutio
     def look(x):
         return _looked_at(x, stage, secondary, chain)
 
-    return walked(look, places, lower, upper, Rules(tolerance, ROUNDS, TRIALS))
+    return walked(look, places, lower, upper, rules(tolerance, len(places)))
+
+
+def rules(tolerance: float, count: int) -> Rules:
+    """When a search for some settings is over.
+
+    Args:
+        tolerance: As in `tune`.
+        count: How many settings move.
+    """
+    return Rules(tolerance, ROUNDS, max(TRIALS, count))
 
 
 def _put(values, where, new):
@@ -353,7 +365,7 @@ def tune(
     outline = _looked_at.ahead(some, reach, secondary, chain)
     outcome = stored(chain)
     outcome.ahead(begin, setup)
-    ahead(outline, some, low, high, Rules(tolerance, ROUNDS, TRIALS))
+    ahead(outline, some, low, high, rules(tolerance, len(between)))
     unit = jnp.maximum(_cost(outcome(begin, setup), secondary), 1e-12)
     reach = dataclasses.replace(reach, unit=unit)
     hold = dataclasses.replace(reach, weight=jnp.ones_like(unit))
