@@ -44,7 +44,7 @@ def test_smooth_maximum_lies_just_above_the_largest():
     assert (got >= hard * (1 - 1e-14)).all()
     assert (got <= hard * 7 ** (1 / ORDER) * (1 + 1e-14)).all()
     assert_close(got[0], 2 * 7 ** (1 / ORDER), rtol=1e-14)
-    assert got[1] == 0
+    assert got[1] < 1e-300
     assert_close(got[2], values[2, 0], rtol=1e-14)
     assert_gradient(lambda x: largest(x)[None], np.array([1.0, -1.01, 0.0, 0.9]))
     assert_close(jax.grad(lambda x: largest(x))(jnp.zeros(3)), np.zeros(3), atol=0)
@@ -102,7 +102,8 @@ def test_feed_lies_just_below_that_by_hard_limits(feed):
         got = np.asarray(rate(dq, ddq, length, 1.0, limits)) ** 2
         hard = relaxed(dq, ddq, length, limits, lambda _: 1.0)
         assert (got <= hard * (1 + 1e-12)).all()
-        # the last norm takes in two neighbours, the laps' norms one each
+        # the last norm takes in two neighbours, the laps' norms one each; and the sizes of
+        # slopes are blunt
         least = relaxed(dq, ddq, length, limits, lambda n: (n + 2) ** (1 / ORDER))
         assert (got >= least * (1 - 1e-12)).all()
 

@@ -150,8 +150,8 @@ def loop_rate(
     def step(before, sample):
         inertia, bend, alone = sample
         before = before[:, None]
-        reached = largest((inertia + bend) * before / (before + inertia))
-        return largest(jnp.stack([alone, reached], axis=-1)), reached
+        reached = (inertia + bend) * before / (before + inertia)
+        return largest(jnp.concatenate([alone[:, None], reached], axis=1)), reached
 
     def laps(x):
         # both ways round at once, and two laps, because the first does not know how fast
@@ -159,11 +159,10 @@ def loop_rate(
         ways = jnp.stack([x, x[::-1]], axis=1)
         return jnp.concatenate([ways, ways])
 
-    slowest = jnp.broadcast_to(largest(alone), (2,))
+    slowest = jnp.broadcast_to(jnp.max(alone), (2,))
     _, reached = jax.lax.scan(step, slowest, jax.tree.map(laps, (inertia, bend, alone)))
     onward, back = reached[alone.size :, 0], reached[: alone.size - 1 : -1, 1]
-    bounds = jnp.concatenate([bounds, onward[:, None], back[:, None]], axis=1)
-    return 1 / jnp.sqrt(largest(bounds))
+    return 1 / jnp.sqrt(largest(jnp.concatenate([alone[:, None], onward, back], axis=1)))
 
 
 def largest(values: Float[Array, "*n m"]) -> Float[Array, "*n"]:
@@ -178,13 +177,13 @@ def largest(values: Float[Array, "*n m"]) -> Float[Array, "*n"]:
 
     Source: the p-norm.
     """
-    most = jax.lax.stop_gradient(jnp.max(jnp.abs(values), axis=-1))
-    some = most > 0
+    least = jnp.finfo(values.dtype).tiny  # nothing beside any other number, but no zero
+    most = jax.lax.stop_gradient(jnp.max(jnp.abs(values), axis=-1)) + least
     # over the largest one, which cancels, powers neither overflow nor all vanish
-    powers = values / jnp.where(some, most, 1.0)[..., None]
+    powers = values / most[..., None]
     for _ in range(DOUBLINGS):
         powers = powers * powers
-    total = jnp.where(some, jnp.sum(powers, axis=-1), 1.0)
+    total = jnp.sum(powers, axis=-1) + least
     for _ in range(DOUBLINGS):
         total = jnp.sqrt(total)
     return most * total
