@@ -16,7 +16,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from bench_tune import CONFIGS, HIT
+from bench_tune import CONFIGS
 from polishopt.chain import polish
 from polishopt.files.assemble import job as assemble
 from polishopt.files.config import load
@@ -46,8 +46,9 @@ def compare(path):
     outcome = jax.jit(lambda p: polish(p, setup))(job.process)
     unit = jnp.maximum(outcome.force_max if secondary == "force" else outcome.time, 1e-12)
     reach = module._Stage(
-        setup, job.process, dict(job.target), job.limits or Limits(), as_scalar(0.0), unit
-    )
+        setup, job.process, dict(job.target), job.limits or Limits(), as_scalar(0.0), unit,
+        as_scalar(module.AIM),
+    )  # fmt: skip
     hold = dataclasses.replace(reach, weight=jnp.ones_like(unit))
 
     def search(size, stage):
@@ -84,13 +85,13 @@ def compare(path):
         for n, (low, high) in job.between.items()
     )
     missed = np.max(np.abs(np.asarray(near.residual[0])), axis=1)
-    hit = (missed <= HIT) & (np.asarray(near.status) == Status.SOLVED)
+    hit = (missed <= module.HIT - module.AIM) & (np.asarray(near.status) == Status.SOLVED)
     second = ""
     if hit.any():
         held = batched({name: np.asarray(x)[hit] for name, x in near.x.items()}, hold)
         second = f", on to the least {secondary} {ended(held)} of {hit.sum()}"
     print(
-        f"{path.stem}: {ended(near)} of {STARTS} ended (one by one {ended(alone)}){second}; "
+        f"{path.stem}: {ended(near)} of {STARTS} ended, one by one {ended(alone)}{second}; "
         f"{took[0]:.1f} s side by side, {took[1]:.1f} s one by one, "
         f"{took[1] / took[0]:.2f} times; answers {apart:.0e} of the box apart at most",
         flush=True,

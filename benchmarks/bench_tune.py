@@ -19,7 +19,7 @@ import numpy as np
 from polishopt.chain import polish
 from polishopt.files.assemble import job as assemble
 from polishopt.files.config import load
-from polishopt.optimize.tune import Verdict, excesses, misses, spread_starts, tune
+from polishopt.optimize.tune import HIT, Verdict, excesses, misses, spread_starts, tune
 from scipy.optimize import minimize
 
 
@@ -28,7 +28,6 @@ jax.config.update("jax_enable_x64", True)
 CONFIGS = Path(__file__).parents[1] / "configs"
 STARTS = 8
 FEASIBLE = 1e-6  # violation, in units of the limit over its own size
-HIT = 1e-3  # tolerances
 
 
 def model(job, secondary):

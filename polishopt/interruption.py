@@ -87,6 +87,7 @@ def interrupted(asked: Asked, store: Searches) -> str:
 
 
 MISS = "largest miss [tolerances]"
+SEARCHES = {1: "target", 2: "least cost", 3: "nearest"}
 
 
 def rows(
@@ -99,6 +100,8 @@ def rows(
         named: From `keys`.
     """
     made = {}
+    from .optimize.tune import AIM
+
     for batch in batches:
         if "stage" not in batch:
             continue  # of another kind of search
@@ -106,18 +109,20 @@ def rows(
         off = [np.abs(v) for k, v in batch.items() if k.startswith("equality ")]
         maps = (v for k, v in batch.items() if k.startswith("inequality ") and v.ndim == 3)
         off += [np.maximum(np.max(v, axis=(1, 2)), 0.0) for v in maps]
+        # searches for the target see no miss below what they aim at
         held, first = np.max(off, axis=0), np.max(np.abs(batch["residual 0"]), axis=1)
+        first = first + np.where(batch["stage"] == 1, AIM, 0.0)
         for i, (stage, start) in enumerate(
             zip(batch["stage"], batch["start"], strict=True)
         ):
             made[int(stage), int(start)] = {
                 "start": int(start) + 1,
-                "search": "target" if stage == 1 else "least cost",
+                "search": SEARCHES[int(stage)],
                 **{
                     key: from_internal(float(batch[f"x {name}"][i]), suffix(key))
                     for name, key in named.items()
                 },
-                MISS: float(first[i] if stage == 1 else held[i]),
+                MISS: float(held[i] if stage == 2 else first[i]),
                 "limits hold": bool(batch["scaled_violation"][i] <= 1e-6),
                 "ended": ENDED[int(batch["status"][i])],
             }

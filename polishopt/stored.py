@@ -37,6 +37,7 @@ PLAIN = {
     "xla_backend_optimization_level": 1,
     "xla_llvm_disable_expensive_passes": True,
     "xla_cpu_use_fusion_emitters": False,
+    "xla_cpu_enable_concurrency_optimized_scheduler": False,
 }
 
 Given = ParamSpec("Given")

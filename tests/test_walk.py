@@ -36,7 +36,7 @@ def everywhere(side, count):
     return {name: jnp.full(count, bound) for name, bound in side.items()}
 
 
-look = jax.jit(lambda x: looked_at(bent, x))
+look = jax.jit(lambda x, skipped: looked_at(bent, x, skipped))
 
 
 def test_a_search_run_from_outside_ends_where_a_compiled_one_does():
@@ -77,6 +77,21 @@ def test_a_search_that_is_over_is_left_alone():
         assert int(alone.evaluations[0]) == spent[i]
         for name in LOWER:
             assert_close(alone.x[name][0], together.x[name][i], rtol=0, atol=1e-12)
+
+
+def test_what_is_skipped_is_not_looked_at():
+    seen = []
+
+    def told(x):
+        jax.debug.callback(lambda a: seen.append(float(a)), x["a"])
+        return bent(x)
+
+    x = {"a": jnp.arange(4.0), "b": jnp.zeros(4)}
+    parts, columns = looked_at(told, x, jnp.array([False, True, False, True]))
+    jax.effects_barrier()
+    assert sorted(set(seen)) == [0.0, 2.0]
+    assert not np.any(columns[1])
+    assert_close(parts[0][1][2], -1.0)
 
 
 def test_a_search_that_meets_nan_does_not_stop_the_others():

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from threading import Event
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +20,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ..stored import stored
+from .auglag import as_float
 from .box import slopes
 from .certificate import Solution
 from .kept import Kept
@@ -29,12 +31,21 @@ from .walk import Rules, Walk, ended, over, problem_of, proposed, set_out, taken
 Places = Mapping[str, Float[Array | np.ndarray, " starts"]]
 
 
-def looked_at(values: Callable[..., Values], x: PyTree, *given: PyTree) -> tuple[Any, Any]:
+def looked_at(
+    values: Callable[..., Values],
+    x: PyTree,
+    skipped: Bool[Array, " starts"],
+    *given: PyTree,
+) -> tuple[Any, Any]:
     """The parts of a problem at several places, and their slopes per unit.
+
+    On a processor one place after another: what one of them needs stays in the cache then,
+    and a place that is skipped costs nothing. On an accelerator all at once.
 
     Args:
         values: Of one place, and of what is given with it.
         x: Places, a pytree with a leading axis.
+        skipped: Places that nobody asks about: zeros are returned there.
         given: More that differs from place to place, likewise.
 
     Returns:
@@ -42,21 +53,34 @@ def looked_at(values: Callable[..., Values], x: PyTree, *given: PyTree) -> tuple
         them in that order, flat, by the flat unknowns.
     """
 
-    def one(x, *given):
+    def look(x, *given):
         point, _ = ravel_pytree(x)
 
         def parts(x):
-            found = jax.tree.map(jnp.asarray, values(x, *given).parts())
+            found = jax.tree.map(as_float, values(x, *given).parts())
             return found, found
 
         _, columns, found = slopes(parts, x, jnp.ones_like(point))
         return found, columns
 
-    return jax.vmap(one)(x, *given)
+    def one(place):
+        skipped, *rest = place
+        full = eqx.filter_closure_convert(look, *rest)  # traced but once
+        shapes = jax.eval_shape(full, *rest)
+
+        def nothing(*_):
+            return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+
+        return jax.lax.cond(skipped, nothing, lambda *rest: full(*rest), *rest)
+
+    places = (skipped, x, *given)
+    if jax.default_backend() == "cpu":
+        return jax.lax.map(one, places)
+    return jax.vmap(lambda *place: one(place))(*places)
 
 
 def walked(
-    look: Callable[[PyTree], tuple[Any, Any]],
+    look: Callable[[PyTree, Bool[Array | np.ndarray, " starts"]], tuple[Any, Any]],
     places: PyTree,
     lower: PyTree,
     upper: PyTree,
@@ -65,19 +89,20 @@ def walked(
     """Where searches from several places end, run side by side.
 
     Args:
-        look: As `looked_at`, of the places alone.
+        look: As `looked_at`, of places and whether they are skipped.
         places: Where they start, within the bounds; a pytree with a leading axis.
         lower: Lower bounds, a pytree like `places`.
         upper: Upper bounds.
         rules: When a search is over.
     """
-    parts, columns = look(places)
+    count = len(jax.tree.leaves(places)[0])
+    parts, columns = look(places, np.zeros(count, bool))
     walk = _set_out(parts, places, lower, upper)
     while True:
         walk, done = _turn(walk, parts, columns, lower, upper, rules)
         if np.all(done):
             return _ended(walk, parts, lower, upper, rules)
-        parts, columns = look(walk.trial.y)
+        parts, columns = look(walk.trial.y, done)
 
 
 def ahead(

@@ -132,7 +132,7 @@ def sign(name: str) -> float:
 
 @stored
 def _looked_at(
-    x, questions: Question, job: _Job, names: tuple[str, ...], chain
+    x, skipped, questions: Question, job: _Job, names: tuple[str, ...], chain
 ) -> tuple[Any, Any]:
     """What the searches need to know of several places, each with its question."""
     steps = job.setup.names if isinstance(job.setup, Plan) else ()
@@ -159,7 +159,7 @@ def _looked_at(
             equality=jnp.where(ask.held > 0, found - ask.at, 0.0),
         )
 
-    return looked_at(values, x, questions)
+    return looked_at(values, x, skipped, questions)
 
 
 def _search(places, questions: Question, job: _Job, names, tolerance, chain) -> Solution:
@@ -172,8 +172,8 @@ def _search(places, questions: Question, job: _Job, names, tolerance, chain) -> 
     lower = bounded(job.lower, questions.least)
     upper = bounded(job.upper, questions.most)
 
-    def look(x):
-        return _looked_at(x, questions, job, names, chain)
+    def look(x, skipped):
+        return _looked_at(x, skipped, questions, job, names, chain)
 
     places = jax.tree.map(jnp.clip, places, lower, upper)
     return walked(look, places, lower, upper, Rules(tolerance, ROUNDS, TRIALS))

@@ -49,8 +49,11 @@ from .walk import Rules
 
 
 # A texture is on target when every goal is met to this share of its tolerance: for the
-# usual tolerances of 0.05 and 0.1 far below what can be measured.
-HIT = 1e-3
+# usual tolerances of 0.05 and 0.1 far below what can be measured. Searches for the target
+# aim at a little less: within that, all textures are as good, and the valleys along which
+# ever smaller misses could be chased are not followed.
+HIT = 1e-2
+AIM = 0.9 * HIT
 # Limits hold if they are exceeded by no more than this share of their scale.
 KEPT = 1e-6
 # The search ends at a projected gradient this small, in units of tolerances.
@@ -157,10 +160,12 @@ class _Stage(eqx.Module):
     """0 while reaching for the target, 1 while holding it at the least cost."""
     unit: Scalar
     """Cost of the given start, so that the residual is of size one."""
+    slack: Scalar
+    """Misses up to this count as none while reaching for the target, in tolerances."""
 
 
 @stored
-def _looked_at(x, stage: _Stage, secondary: str, chain) -> tuple[Any, Any]:
+def _looked_at(x, skipped, stage: _Stage, secondary: str, chain) -> tuple[Any, Any]:
     """What the search needs to know of several places; both stages share the program."""
 
     def values(x):
@@ -175,10 +180,11 @@ def _looked_at(x, stage: _Stage, secondary: str, chain) -> tuple[Any, Any]:
         }
         exact = jnp.where(stage.weight > 0, 1.0, 0.0)
         off = [jnp.maximum(band, 0.0).reshape(-1) for band in left.values()]
+        off = jnp.concatenate([*(miss[None] for miss in missed.values()), *off])
+        off = off - jnp.clip(off, -stage.slack, stage.slack)
         return Values(
             residual=(
-                jnp.concatenate([*(miss[None] for miss in missed.values()), *off])
-                * (1 - exact),
+                off * (1 - exact),
                 stage.weight * _cost(outcome, secondary) / stage.unit,
             ),
             inequality={
@@ -188,14 +194,14 @@ def _looked_at(x, stage: _Stage, secondary: str, chain) -> tuple[Any, Any]:
             equality={name: miss * exact for name, miss in missed.items()},
         )
 
-    return looked_at(values, x)
+    return looked_at(values, x, skipped)
 
 
 def _search(places, lower, upper, stage, secondary, tolerance, chain) -> Solution:
     """One search from each place, side by side."""
 
-    def look(x):
-        return _looked_at(x, stage, secondary, chain)
+    def look(x, skipped):
+        return _looked_at(x, skipped, stage, secondary, chain)
 
     return walked(look, places, lower, upper, rules(tolerance, len(places)))
 
@@ -217,15 +223,15 @@ def _put(values, where, new):
     return values
 
 
-def _far(held: Solution, target: Mapping[str, Goal]):
-    """Largest miss of a goal at each end of the second stage, in tolerances."""
+def _far(inequality, equality, target: Mapping[str, Goal]) -> np.ndarray:
+    """Largest miss of a goal in the second stage, at several places [tolerances]."""
     rows = []
     for name, goal in target.items():
         if goal.worst:
-            left = (held.inequality[band] for band in band_names(name))
+            left = (np.asarray(inequality[band]) for band in band_names(name))
             rows += [np.max(np.maximum(band, 0.0), axis=(1, 2)) for band in left]
         else:
-            rows.append(np.abs(held.equality[name]))
+            rows.append(np.abs(np.asarray(equality[name])))
     return np.max(rows, axis=0)
 
 
@@ -359,69 +365,84 @@ def tune(
         for side in (lower, upper)
     )
     zero = as_scalar(0.0)
-    reach = _Stage(setup, begin, dict(target), limits, zero, zero)
+    reach = _Stage(setup, begin, dict(target), limits, zero, zero, zero + AIM)
     # the model's slopes take longest to compile: the rest is done meanwhile
     some = {name: column[:together] for name, column in places.items()}
-    outline = _looked_at.ahead(some, reach, secondary, chain)
-    outcome = stored(chain)
-    outcome.ahead(begin, setup)
+    none = np.zeros(together, bool)
+    outline = _looked_at.ahead(some, none, reach, secondary, chain)
     ahead(outline, some, low, high, rules(tolerance, len(between)))
-    unit = jnp.maximum(_cost(outcome(begin, setup), secondary), 1e-12)
+    bare = dataclasses.replace(reach, weight=zero + 1, unit=zero + 1)
+
+    def seen(x):
+        """Costs and largest misses at several places, from the program that is there."""
+        count, found = len(next(iter(x.values()))), []
+        for i in range(0, count, together):
+            chosen = np.minimum(np.arange(i, i + together), count - 1)
+            part = {name: jnp.asarray(column[chosen]) for name, column in x.items()}
+            (residual, _, *held), _ = _looked_at(part, none, bare, secondary, chain)
+            found.append((np.asarray(residual[1]), _far(*held, target)))
+        return (np.concatenate(column)[:count] for column in zip(*found, strict=True))
+
+    unit = jnp.maximum(next(seen(some))[0], 1e-12)
     reach = dataclasses.replace(reach, unit=unit)
     hold = dataclasses.replace(reach, weight=jnp.ones_like(unit))
+    exact = dataclasses.replace(reach, slack=zero)
+    # not needed before the end, so not in the way of what is
+    outcome = stored(chain)
+    outcome.ahead(begin, setup)
     done = None
     if store is not None:
         done = Kept(store, lower, upper, reach, secondary, tolerance, chain)
         if strange := done.strange():
             say(strange)
 
-    def search(places, stage, numbers):
+    def search(places, stage, numbers, number):
         def some(part):
             return _search(part, low, high, stage, secondary, tolerance, chain)
 
-        kinds = np.full(numbers.shape, 1 if stage is reach else 2)
+        kinds = np.full(numbers.shape, number)
         return in_batches(some, places, together, done, start=numbers, stage=kinds)
 
-    def cost_at(i):
-        x = {name: as_scalar(column[i]) for name, column in final.x.items()}
-        return float(_cost(outcome(applied(begin, steps, x), setup), secondary))
-
     say(f"reaching for the target from {starts} starts")
-    final = search(places, reach, np.arange(starts))
-    distance = np.max(np.abs(final.residual[0]), axis=1)
-    hit = (distance <= HIT) & (final.status == Status.SOLVED)
+    final = search(places, reach, np.arange(starts), 1)
+    cost, distance = seen(final.x)
+    kept = final.status == Status.SOLVED
+    hit = (distance <= HIT) & kept
     say(f"{int(np.sum(hit))} of {starts} starts reach it")
-    solved, at_cost = bool(np.any(hit)), False
-    cost, followed = np.zeros_like(distance), np.zeros(starts, bool)
+    solved, at_cost = bool(hit.any()), False
+    followed = np.zeros(starts, bool)
     # where nothing reaches the target: the least miss that keeps the limits, or failing
     # that the least violation
-    kept = final.status == Status.SOLVED
     rank = np.where(kept, final.objective, np.inf)
     if not kept.any():
         rank = final.scaled_violation
     if solved:
-        rank = np.where(hit, distance, np.inf)
-    if solved and secondary != "none":
-        cost = np.asarray([cost_at(i) for i in range(starts)])
-        cheapest = np.argsort(np.where(hit, cost, np.inf))[: min(CHEAPEST, hit.sum())]
-        say(f"looking for the least {secondary} from the {len(cheapest)} cheapest answers")
-        at = {name: x[cheapest] for name, x in final.x.items()}
-        held = search(at, hold, cheapest)
-        far = _far(held, target)
+        rank = np.where(hit, distance if secondary == "none" else cost, np.inf)
+    if kept.any():
+        chosen = np.argsort(rank)[: min(CHEAPEST, np.isfinite(rank).sum())]
+        if solved and secondary != "none":
+            stage, number, what = hold, 2, f"the least {secondary}"
+        else:
+            stage, number, what = exact, 3, "the nearest texture"
+        say(f"looking for {what} from the {len(chosen)} best answers")
+        at = {name: x[chosen] for name, x in final.x.items()}
+        held = search(at, stage, chosen, number)
+        paid, far = seen(held.x)
         # where the work ran out on the way to the least cost, the point may still do
-        kept = held.scaled_violation <= KEPT
-        ended = (held.status == Status.SOLVED) | ((held.status == Status.WORK_LIMIT) & kept)
-        good = ended & (far <= HIT)
-        work = held.evaluations + final.evaluations[cheapest]
+        good = held.status == Status.SOLVED
+        if stage is hold:
+            good |= (held.status == Status.WORK_LIMIT) & (held.scaled_violation <= KEPT)
+            good &= far <= HIT
+        work = held.evaluations + final.evaluations[chosen]
         held = eqx.tree_at(lambda solution: solution.evaluations, held, work)
         # else the target is reached, only not at the least cost: the first stage stands
-        at_cost = bool(good.any())
-        if at_cost:
-            final = jax.tree.map(lambda a, b: _put(a, cheapest, b), final, held)
-            distance = _put(distance, cheapest, far)
-            cost = _put(cost, cheapest, held.residual[1] * float(unit))
-            followed = _put(followed, cheapest, np.ones(len(cheapest), bool))
-            rank = _put(np.full(starts, np.inf), cheapest[good], cost[cheapest[good]])
+        if good.any():
+            at_cost = stage is hold
+            final = jax.tree.map(lambda a, b: _put(a, chosen, b), final, held)
+            distance, cost = _put(distance, chosen, far), _put(cost, chosen, paid)
+            followed = _put(followed, chosen, np.full(len(chosen), at_cost))
+            value = paid if at_cost else held.objective
+            rank = _put(np.full(starts, np.inf), chosen[good], value[good])
     best = int(np.argmin(np.where(np.isnan(rank), np.inf, rank)))
     # the loops above ran on the host; what is handed out are JAX arrays again
     answer: Solution = jax.tree.map(lambda leaf: jnp.asarray(leaf[best]), final)
