@@ -6,6 +6,7 @@ surface it finds. So a plan of several steps hands nothing on but the surface.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 

@@ -359,3 +359,17 @@ def test_milled_start():
     assert_close(untouched[:3], [Sq, np.mean(z**3) / Sq**3, np.mean(z**4) / Sq**4])
     polished = texture(plane().process, bare)
     assert polished[3] < untouched[3]
+
+
+def test_no_corner_where_a_row_of_the_patch_comes_to_reach_across_the_disc():
+    """Slopes of force and texture on either side of the displacements at which it does."""
+    process, setup = plane().process, plane().setup
+    nodes, _ = np.polynomial.legendre.leggauss(setup.sampling.rows)
+    across = 1 + np.cos(np.pi / 4 * (nodes + 1))
+    met = float(setup.tool.radius) * math.sin(float(process.tilt)) * across
+    sides = np.sort(np.concatenate([met * (1 - 1e-7), met * (1 + 1e-7)]))
+    at = np.tile([float(getattr(process, name)) for name in TUNED], (BATCH, 1))
+    at[: sides.size, 1] = sides
+    _, slopes = forward(jnp.asarray(at), process, setup)
+    slopes = np.asarray(slopes)[: sides.size]
+    assert_close(slopes[::2, :3], slopes[1::2, :3], rtol=1e-4)

@@ -194,7 +194,7 @@ def test_forward_is_the_chain_as_matrices(name):
         origin = origin + np.asarray(machine.pivots)[rotary[0] - 3]
     placed = matrix((0, 0, 1), move=0)
     for way, angle in zip(np.eye(3), machine.wedge, strict=True):
-        placed = matrix(way, float(angle)) @ placed
+        placed = matrix(way, float(0.0 if angle is None else angle)) @ placed
     placed[:3, 3] = origin
     tip = part @ placed @ [*back[0], 1.0]
     np.testing.assert_allclose(tip, tool @ [0, 0, 0, 1], atol=1e-10)

@@ -26,7 +26,7 @@ from polishopt.optimize.goals import (
     applied,
     setting,
 )
-from polishopt.plan import Plan, follow
+from polishopt.plan import Plan, follow, follow_forward
 from polishopt.setup import Sampling, Start
 
 
@@ -122,6 +122,39 @@ def test_slopes_by_jobs_and_by_settings_agree():
     assert (np.diag(alone) != 0).all()
     assert_close(alone - np.diag(np.diag(alone)), 0.0)
     assert_close(by_factor, values, rtol=1e-10)
+
+
+def test_slopes_by_way_of_the_strains_are_those_of_every_map():
+    """`follow_forward` gives the values and slopes of `follow`, in either mode."""
+    job, _ = whole()
+    coarse = Sampling(1, 6, 2, 2, (8, 8), 3)
+    setups = [eqx.tree_at(lambda s: s.sampling, s, coarse) for s in job.plan.setups[:3]]
+    plan = Plan(job.plan.names[:3], tuple(setups))
+    names = ("tilt", "displacement")
+    x = jnp.asarray([[float(getattr(p, n)) for n in names] for p in job.processes[:3]])
+
+    def texture(follow, x):
+        changed = [
+            eqx.tree_at(lambda p: tuple(getattr(p, n) for n in names), p, tuple(row))
+            for p, row in zip(job.processes[:3], x, strict=True)
+        ]
+        steps = follow(changed, plan).steps
+        rough = steps[-1].parts[0].k3 * 1e9
+        return jnp.stack([*(1e3 * step.left.Sz for step in steps), steps[-1].Ssk, rough])
+
+    @jax.jit
+    def both(x):
+        slopes = [
+            jax.jacfwd(lambda x, f=f: texture(f, x))(x) for f in (follow, follow_forward)
+        ]
+        last = jax.grad(lambda x: texture(follow_forward, x)[-2])(x)
+        return texture(follow, x), texture(follow_forward, x), *slopes, last
+
+    want, got, slopes, others, last = both(x)
+    assert_close(got, want, rtol=1e-12)
+    assert_close(others, slopes, rtol=1e-9, atol=1e-12 * float(jnp.max(jnp.abs(slopes))))
+    assert_close(last, slopes[-2], rtol=1e-9, atol=1e-12 * float(jnp.max(jnp.abs(last))))
+    assert (slopes[2, 0] != 0).all()  # the first step is still seen in the last
 
 
 @pytest.mark.slow

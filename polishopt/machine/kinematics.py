@@ -365,9 +365,9 @@ def _constants(one: Fixed, two: Fixed) -> tuple[float, float]:
 
 def _gram(v: Triple, one: Fixed, c: float, p: float) -> tuple[Scalar, Scalar, Scalar]:
     """Of `rotary`: k, the square of the sine to it, and the Gram determinant."""
-    k = _dot(one, v)
+    k = jnp.asarray(_dot(one, v))
     across = _cross(one, v)
-    square = sum(c**2 for c in across)
+    square = jnp.asarray(sum(c**2 for c in across))
     if c == 0.0 == p:
         return k, square, square
     # c - k p, without a difference of nearly equal numbers at the pole

@@ -93,8 +93,8 @@ def axis_slopes(
         pace: By how much faster the rotary axes turn than that.
         machine: The machine.
     """
-    once = tuple(pace * rate for rate in first[1])
-    twice = tuple(pace**2 * rate for rate in second[1])
+    once = pace * first[1][0], pace * first[1][1]
+    twice = pace**2 * second[1][0], pace**2 * second[1][1]
     tips = [at[0], first[0], second[0]]
     _, dq, ddq = motion(tips, [at[1], once, twice], machine)
     return dq, ddq

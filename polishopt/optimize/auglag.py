@@ -188,7 +188,8 @@ def _prepared(parts, start, lower, upper, unit, options: _Options) -> Solution:
 
 def _problem(parts, box, start, unit) -> Problem:
     """The order of the flat values."""
-    return problem_of(jax.eval_shape(parts, start), start, *box, unit)
+    lower, upper = box
+    return problem_of(jax.eval_shape(parts, start), start, lower, upper, unit)
 
 
 @eqx.filter_custom_jvp

@@ -358,8 +358,10 @@ def tune(
     upper = {name: as_scalar(high) for name, (_, high) in between.items()}
     places = spread_starts(first, between, starts, seed)
 
-    # an accelerator takes all starts at once
-    together = min(starts, TOGETHER if jax.default_backend() == "cpu" else starts)
+    # an accelerator takes all starts at once; a processor has work for two batches
+    together = starts
+    if jax.default_backend() == "cpu":
+        together = min(-(-starts // 2), TOGETHER)
     low, high = (
         {name: jnp.full(together, bound) for name, bound in side.items()}
         for side in (lower, upper)
@@ -379,8 +381,9 @@ def tune(
         for i in range(0, count, together):
             chosen = np.minimum(np.arange(i, i + together), count - 1)
             part = {name: jnp.asarray(column[chosen]) for name, column in x.items()}
-            (residual, _, *held), _ = _looked_at(part, none, bare, secondary, chain)
-            found.append((np.asarray(residual[1]), _far(*held, target)))
+            parts, _ = _looked_at(part, none, bare, secondary, chain)
+            (_, cost), _, over, missed = parts
+            found.append((np.asarray(cost), _far(over, missed, target)))
         return (np.concatenate(column)[:count] for column in zip(*found, strict=True))
 
     unit = jnp.maximum(next(seen(some))[0], 1e-12)

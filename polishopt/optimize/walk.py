@@ -111,7 +111,13 @@ def set_out(problem: Problem, start: PyTree) -> Walk:
         status=jnp.array(-1),
     )
     state = BoxLevenbergMarquardt().init(
-        None, start, outer.duals, _how(problem), blank, None, frozenset()
+        lambda x, _: (x, None),  # only shapes are read
+        start,
+        outer.duals,
+        _how(problem),
+        blank,
+        None,
+        frozenset(),
     )
     still = Trial(start, jnp.zeros_like(problem.lower), 0 * one, outer.duals)
     return Walk(start, state, outer, still, jnp.array(0), jnp.array(1))
