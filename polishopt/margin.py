@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .constants import part, with_constants
-from .contact.pressure import patch, shear_margin, unstick_force
+from .contact.pressure import flat_force, patch, shear_margin, unstick_force
 from .parts import Process, Scalar
 from .setup import Setup
 
@@ -56,27 +56,24 @@ def margin_deviations(
     if not errors:
         zero = jnp.zeros_like(process.tilt)
         return zero, zero
-    sampling = setup.sampling
     most = jnp.argmax(forces)
     hardest = curvatures[most]
     deepest = process
     if displacements is not None:
         deepest = dataclasses.replace(process, displacement=jnp.max(displacements))
         process = dataclasses.replace(process, displacement=displacements[most])
-    curvature = jnp.zeros_like(hardest) if setup.level else hardest
 
     def margins(values):
         tool = with_constants(setup, dict(zip(errors, values, strict=True))).tool
-        touch = patch(
-            process,
-            tool,
-            curvature,
-            setup.side,
-            sampling.rows,
-            sampling.columns,
-            setup.panels,
-        )
-        unstick = unstick_force(process.tilt, tool) - touch.force
+        pressed = process.tilt, process.displacement
+        if setup.level:
+            force = flat_force(tool.radius, tool.foundation, *pressed, tool.stiffening)
+        else:
+            rows, columns = setup.sampling.rows, setup.sampling.columns
+            force = patch(
+                process, tool, hardest, setup.side, rows, columns, setup.panels
+            ).force
+        unstick = unstick_force(process.tilt, tool) - force
         return jnp.stack([unstick, shear_margin(deepest, tool)])
 
     values = jnp.stack([part(setup, name) for name in errors])

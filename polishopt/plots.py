@@ -456,7 +456,8 @@ def _disc(run: Run, i: int, radius: float) -> np.ndarray:
     """Outline of the disc at sample i, seen from above, in the parameter plane [mm]."""
     at = jax.tree.map(lambda column: np.asarray(column)[i], run.posture)
     angle = np.linspace(0, 2 * np.pi, 121)[:, None]
-    rim = np.cos(angle) * np.cross(at.side, at.axis) + np.sin(angle) * at.side
+    side = np.asarray(at.side)
+    rim = np.cos(angle) * np.cross(side, at.axis) + np.sin(angle) * side
     return at.xy + (at.tip - at.contact + radius * rim)[:, :2]
 
 
