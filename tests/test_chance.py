@@ -211,7 +211,7 @@ def test_an_excess_holds_its_quantile_back(tuned):
 
 def test_c8_a_chance_of_one_percent_is_one_percent(tuned):
     """The limit is active; of 10 000 discs with constants drawn, 1 % come unstuck."""
-    # the search ends at 1e-6 of what the force changes by over the box, some 40 N
+    # the search ends at 1e-6 of the limit's slope at the start, in N per width of the box
     assert abs(float(tuned.excesses["unstick force"])) <= 4e-5
     draws = np.random.default_rng(8).standard_normal((10_000, len(JOB.errors)))
     drawn = {

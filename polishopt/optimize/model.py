@@ -24,7 +24,7 @@ NOISE = 10.0  # rounding of a sum of squares, in units of the last place
 STEPS = 40  # Newton steps on the model; they cost no evaluation
 AT_BOUND = 1e-6  # so near to a bound is at it, in widths of the box
 HALVINGS = 12  # lengths tried along each of them
-SAFE = 1e-1  # cosine between step and surprise from which curvature is learned
+SAFE = 1e-1  # least cosine between step and surprise that an update of curvature divides by
 
 Weigh = Callable[[Float[Array, " m"]], Float[Array, " m"]]
 
@@ -174,9 +174,9 @@ def learned(
 ) -> Float[Array, "m n n"]:
     """The curvatures after a step along which slopes have changed.
 
-    The symmetric rank-one update of each, left out where its denominator is too small to
-    trust. It keeps to the unknowns that a value depends on, and the matrices may well be
-    indefinite.
+    The symmetric rank-one update of each. Its denominator is held up where it is too small
+    to trust: the change is then explained in part. It keeps to the unknowns that a value
+    depends on, and the matrices may well be indefinite.
 
     Args:
         curvature: As known so far.
