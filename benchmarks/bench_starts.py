@@ -1,14 +1,16 @@
 """Starts: where 64 searches end on the example configs, side by side and one by one.
 
 How many end at a point that is stationary under the limits, or of least violation; then,
-from those that reach the target, the same on the way to the least cost. Times are those of
-the first stage, without compilation: in batches, as `tune` runs them, and one search after
-another. Run as
+from those that reach the target, the same on the way to the least cost. Times are without
+compilation: of the searches for the target, in batches as `tune` runs them and one after
+another; and of `tune` with 64 starts beside 64 times `tune` with one of them, which each go
+on to the least cost. With `--quick`, one by one is left out. Run as
 
-    python benchmarks/bench_starts.py [config ...]
+    python benchmarks/bench_starts.py [--quick] [config ...]
 """
 
 import dataclasses
+import math
 import sys
 import time
 from pathlib import Path
@@ -20,10 +22,11 @@ from bench_tune import CONFIGS
 from polishopt.chain import polish
 from polishopt.files.assemble import job as assemble
 from polishopt.files.config import load
-from polishopt.optimize import tune as module
 from polishopt.optimize.batches import in_batches
 from polishopt.optimize.certificate import Status
 from polishopt.optimize.goals import Limits, mapped
+from polishopt.optimize.stage import Stage, searched
+from polishopt.optimize.tune import AIM, HIT, TOGETHER, TOLERANCE, spread_starts, tune
 from polishopt.parts import as_scalar
 
 
@@ -37,17 +40,17 @@ def ended(solution):
     return int(np.isin(found, [Status.SOLVED, Status.INFEASIBLE]).sum())
 
 
-def compare(path):
+def compare(path, quick):
     loaded = load(path)
     job, secondary = assemble(loaded.config), loaded.config.secondary
     setup = mapped(job.setup, job.target)
     first = {name: float(getattr(job.process, name)) for name in job.between}
-    places = module.spread_starts(first, job.between, STARTS)
+    places = spread_starts(first, job.between, STARTS)
     outcome = jax.jit(lambda p: polish(p, setup))(job.process)
     unit = jnp.maximum(outcome.force_max if secondary == "force" else outcome.time, 1e-12)
-    reach = module._Stage(
+    reach = Stage(
         setup, job.process, dict(job.target), job.limits or Limits(), as_scalar(0.0), unit,
-        as_scalar(module.AIM),
+        as_scalar(AIM), secondary, polish,
     )  # fmt: skip
     hold = dataclasses.replace(reach, weight=jnp.ones_like(unit))
 
@@ -58,7 +61,7 @@ def compare(path):
         )
 
         def some(part):
-            return module._search(part, lower, upper, stage, secondary, 1e-6, polish)
+            return searched(part, lower, upper, stage, TOLERANCE)
 
         return some
 
@@ -70,35 +73,64 @@ def compare(path):
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *rows)
 
     def batched(places, stage=reach):
-        return in_batches(search(module.TOGETHER, stage), places, module.TOGETHER)
+        return in_batches(search(TOGETHER, stage), places, TOGETHER)
 
-    few = {name: column[:4] for name, column in places.items()}
-    batched(few), search(1, reach)({name: x[:1] for name, x in places.items()})
-    took, answers = [], []
-    for run in (batched, one_by_one):
-        began = time.perf_counter()
-        answers.append(run(places))
-        took.append(time.perf_counter() - began)
-    near, alone = answers
-    apart = max(
-        np.max(np.abs(np.asarray(near.x[n]) - np.asarray(alone.x[n])) / (high - low))
-        for n, (low, high) in job.between.items()
-    )
+    few = {name: column[:TOGETHER] for name, column in places.items()}
+    batched(few)
+    began = time.perf_counter()
+    near = batched(places)
+    took = time.perf_counter() - began
     missed = np.max(np.abs(np.asarray(near.residual[0])), axis=1)
-    hit = (missed <= module.HIT - module.AIM) & (np.asarray(near.status) == Status.SOLVED)
+    hit = (missed <= HIT - AIM) & (np.asarray(near.status) == Status.SOLVED)
     second = ""
     if hit.any():
         held = batched({name: np.asarray(x)[hit] for name, x in near.x.items()}, hold)
         second = f", on to the least {secondary} {ended(held)} of {hit.sum()}"
+    print(f"{path.stem}: {ended(near)} of {STARTS} ended{second}; {took:.1f} s", flush=True)
+    if quick:
+        return
+    search(1, reach)({name: x[:1] for name, x in places.items()})
+    began = time.perf_counter()
+    alone = one_by_one(places)
+    longer = time.perf_counter() - began
+    apart = max(
+        np.max(np.abs(np.asarray(near.x[n]) - np.asarray(alone.x[n])) / (high - low))
+        for n, (low, high) in job.between.items()
+    )
     print(
-        f"{path.stem}: {ended(near)} of {STARTS} ended, one by one {ended(alone)}{second}; "
-        f"{took[0]:.1f} s side by side, {took[1]:.1f} s one by one, "
-        f"{took[1] / took[0]:.2f} times; answers {apart:.0e} of the box apart at most",
+        f"   one by one {ended(alone)}; {longer:.1f} s, {longer / took:.2f} times as long; "
+        f"answers {apart:.0e} of the box apart at most",
+        flush=True,
+    )
+
+    def tuned(count, starts):
+        """How long a `tune` from each of some starts takes, and the least it finds [s]."""
+
+        def one(i):
+            at = {name: column[i] for name, column in places.items()}
+            process = dataclasses.replace(job.process, **at)
+            found = tune(
+                job.setup, process, job.between, job.target, job.limits, secondary, count
+            )
+            return float(found.outcome.time) if int(found.verdict) == 0 else math.inf
+
+        one(0)  # compiles
+        began = time.perf_counter()
+        least = min(one(i) for i in starts)
+        return time.perf_counter() - began, least
+
+    together, best = tuned(STARTS, [0])
+    apiece, least = tuned(1, range(STARTS))
+    print(
+        f"   tune with {STARTS} starts {together:.1f} s, {STARTS} times with one "
+        f"{apiece:.1f} s, {apiece / together:.2f} times as long; {best:.4f} and "
+        f"{least:.4f} s on target",
         flush=True,
     )
 
 
 if __name__ == "__main__":
-    tuned = [p for p in sorted(CONFIGS.glob("*.yaml")) if not load(p).steps]
-    for given in sys.argv[1:] or tuned:
-        compare(Path(given))
+    steps = [p for p in sorted(CONFIGS.glob("*.yaml")) if not load(p).steps]
+    quick = "--quick" in sys.argv
+    for given in [arg for arg in sys.argv[1:] if arg != "--quick"] or steps:
+        compare(Path(given), quick)

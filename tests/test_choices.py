@@ -368,7 +368,7 @@ def test_what_another_version_finished_is_not_taken_in_silence(monkeypatch):
 def cheap(monkeypatch):
     """The command with a stand-in for the chain, without the results of the winner."""
     told = {"runs": 0, "answers": [], "prevented": {}}
-    real, alone = tune_module._search, Lock()  # searches run side by side
+    real, alone = tune_module.searched, Lock()  # searches run side by side
 
     def counted(*given):
         with alone:
@@ -388,7 +388,7 @@ def cheap(monkeypatch):
         finding = postprocess.Finding(sentence or "fine", prevents=sentence is not None)
         return [postprocess.Programs((finding,), {}, ())]
 
-    monkeypatch.setattr(tune_module, "_search", counted)
+    monkeypatch.setattr(tune_module, "searched", counted)
     monkeypatch.setattr(tune_module, "polish", stand_in)
     monkeypatch.setattr(answer, "of_step", of_step)
     monkeypatch.setattr(postprocess, "paths", paths)

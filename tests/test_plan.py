@@ -159,9 +159,7 @@ def test_slopes_by_way_of_the_strains_are_those_of_every_map():
     assert_close(others, slopes, rtol=1e-9, atol=1e-12 * float(jnp.max(jnp.abs(slopes))))
     assert (slopes[:2, -2] != 0).all()  # the first step is still seen in the last
     last = jax.jit(jax.grad(lambda x: texture(follow_forward, x)[-2]))(x).reshape(-1)
-    assert_close(
-        last, slopes[:, -2], rtol=1e-9, atol=1e-12 * float(jnp.max(jnp.abs(last)))
-    )
+    assert_close(last, slopes[:, -2], rtol=1e-9, atol=1e-12 * float(jnp.max(jnp.abs(last))))
 
 
 @pytest.mark.slow

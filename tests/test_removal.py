@@ -10,6 +10,7 @@ from polishopt.contact import pressure, removal
 from polishopt.contact.ripple import ripple
 from polishopt.parts import Process, Tool
 from polishopt.path.guide import Bends
+from scipy.interpolate import BSpline
 
 
 superpose = fast_jit(removal.superpose)
@@ -83,6 +84,27 @@ def test_volume_is_conserved(seed):
     assert_close(
         depth, superpose(footprint, points, dwell, grid, frames), rtol=1e-10, atol=1e-12
     )
+
+
+def test_a_deposit_is_the_spline_on_every_pixel():
+    """Against scipy's B-spline: within the grid, across its edges, between pixels, away."""
+    spline = BSpline.basis_element([-1.5, -0.5, 0.5, 1.5], extrapolate=False)
+    rng = np.random.default_rng(2)
+    grid = removal.Grid([-1, 2], [12, 8], (7, 9))
+    x, y, spacing = (np.asarray(line) for line in (grid.x, grid.y, grid.spacing))
+    on = np.stack([x[2] + np.asarray([0.0, 0.5, 1.0]) * spacing[0], y[:3]])
+    points = np.concatenate([rng.uniform(-4, 14, (60, 2)), on.T, [[1e9, 3], [3, -1e300]]])
+    volumes = rng.uniform(1, 2, len(points))
+    weights = [
+        np.nan_to_num(spline((points[:, i, None] - line) / spacing[i]))
+        for i, line in enumerate((x, y))
+    ]
+    want = np.einsum("n,ny,nx->yx", volumes, weights[1], weights[0])
+    want /= float(grid.pixel_area)
+    put = jax.jit(lambda points: removal.deposit(points, jnp.asarray(volumes), grid))
+    assert_close(put(jnp.asarray(points)), want, rtol=1e-13, atol=1e-13)
+    # no place on the grid tells what a point that is not a number has removed
+    assert np.isnan(put(jnp.asarray(points).at[0, 0].set(jnp.nan))).any()
 
 
 def test_fraction_inside_is_what_the_map_holds():
@@ -186,7 +208,9 @@ def test_ripple_of_a_straight_trochoid_matches_the_resolved_removal():
 def test_gradients():
     grid = removal.Grid([0, 0], [10, 8], (7, 9))
     rng = np.random.default_rng(0)
-    points = jnp.asarray(rng.uniform(1, 7, (20, 2)))
+    points = rng.uniform(1, 7, (20, 2))
+    points[0] = grid.origin + 2 * grid.spacing  # from three pixels to the next three
+    points = jnp.asarray(points)
 
     def outcomes(x):
         depth = removal.deposit(points * x[0], jnp.arange(20.0) * x[1], grid)

@@ -65,14 +65,14 @@ class Mortal(Searches):
 @pytest.fixture
 def runs(monkeypatch):
     """Every batch of searches that is run, by the numbers it starts from."""
-    made, real = [], module._search
+    made, real = [], module.searched
 
     def counted(places, *rest):
         made.append(np.stack([np.asarray(x) for x in places.values()]).tobytes())
         latest[threading.get_ident()] = made[-1]
         return real(places, *rest)
 
-    monkeypatch.setattr(module, "_search", counted)
+    monkeypatch.setattr(module, "searched", counted)
     return made
 
 

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..parts import Scalar, as_array
 from .pressure import Patch
@@ -156,12 +156,18 @@ def preston_rates(
     return preston * patch.pressure * patch.area * speed
 
 
-def _weights(position: Float[Array, " n"], count: int) -> Float[Array, "n {count}"]:
-    """Quadratic B-spline weight of each position on each of `count` pixels [-]."""
-    pixel = jnp.asarray(np.arange(count), dtype=position.dtype)
-    t = jnp.abs(position[:, None] - pixel[None, :])
-    edge = jnp.maximum(1.5 - t, 0.0)
-    return jnp.where(t < 0.5, 0.75 - t**2, 0.5 * edge**2)
+def _weights(
+    position: Float[Array, " n"],
+) -> tuple[Int[Array, " n"], Float[Array, "n 3"]]:
+    """The first of the three pixels around each position, and its weights on them [-].
+
+    The weights are those of a quadratic B-spline: the same from either side, slopes too,
+    where a position passes from three pixels to the next three.
+    """
+    middle = jnp.round(position)
+    t = position - middle
+    weights = [0.5 * (0.5 - t) ** 2, 0.75 - t**2, 0.5 * (0.5 + t) ** 2]
+    return middle.astype(jnp.int32) - 1, jnp.stack(weights, axis=-1)
 
 
 def deposit(
@@ -171,8 +177,7 @@ def deposit(
 
     Each volume is spread by a quadratic B-spline over 3 x 3 pixels; what falls beyond
     the grid is gone. The depth is per area of the parameter plane: on a curved part,
-    divide by its area stretch. The spline is a product, so the map is one product of
-    two matrices: many times faster than adding up pixel by pixel.
+    divide by its area stretch.
 
     Args:
         points: Where the volumes were, in the parameter plane [mm].
@@ -180,9 +185,20 @@ def deposit(
         grid: The pixels.
     """
     position = grid.pixels(points)
-    ny, nx = grid.shape
-    rows = _weights(position[:, 1], ny) * volumes[:, None]
-    return rows.T @ _weights(position[:, 0], nx) / grid.pixel_area
+    column, across = _weights(position[:, 0])
+    row, along = _weights(position[:, 1])
+    spread = (volumes[:, None] * along)[:, :, None] * across[:, None, :]
+    # three pixels that overlap the grid lie within two of it; all others are dropped
+    wide = jnp.zeros([count + 4 for count in grid.shape], spread.dtype)
+    windows = jax.lax.ScatterDimensionNumbers(
+        update_window_dims=(1, 2),
+        inserted_window_dims=(),
+        scatter_dims_to_operand_dims=(0, 1),
+    )
+    mode = jax.lax.GatherScatterMode.FILL_OR_DROP
+    places = jnp.stack([row, column], axis=-1) + 2
+    wide = jax.lax.scatter_add(wide, places, spread, windows, mode=mode)
+    return wide[2:-2, 2:-2] / grid.pixel_area
 
 
 def fraction_inside(points: Float[Array, "n 2"], grid: Grid) -> Float[Array, " n"]:

@@ -27,14 +27,13 @@ from ..parts import Process, Scalar, as_scalar
 from ..plan import Plan, PlanOutcome, follow_forward
 from ..setup import Setup
 from ..stored import stored
-from .batches import ahead, in_batches, looked_at, walked
+from .batches import in_batches
 from .certificate import Solution, Status
 from .goals import (
     Goal as Goal,
     Limits as Limits,
     PlanLimits as PlanLimits,
     all_excesses,
-    all_local_bands,
     all_misses,
     applied,
     band_names,
@@ -44,8 +43,7 @@ from .goals import (
     setting,
 )
 from .kept import Kept, Store
-from .values import Values
-from .walk import Rules
+from .stage import Stage, prepare, searched, seen, steps_of
 
 
 # A texture is on target when every goal is met to this share of its tolerance: for the
@@ -58,11 +56,6 @@ AIM = 0.9 * HIT
 KEPT = 1e-6
 # The search ends at a projected gradient this small, in units of tolerances.
 TOLERANCE = 1e-6
-# Rounds of multipliers, and trial points in each; as many as there are settings, if these
-# are more, since curvature is learned along one direction at a point. All starts wait for
-# the last one, and the few that have not ended by then are lost in a corner that others
-# avoid.
-ROUNDS, TRIALS = 10, 10
 # Searches side by side under one `vmap`, and answers from which the cheapest is sought.
 TOGETHER, CHEAPEST = 4, 8
 
@@ -149,90 +142,11 @@ def spread_starts(
     return starts
 
 
-class _Stage(eqx.Module):
-    """What the search needs to know beside the settings it moves."""
-
-    setup: Setup | Plan
-    fixed: Process | tuple[Process, ...]
-    target: dict[str, Goal]
-    limits: Limits | PlanLimits
-    weight: Scalar
-    """0 while reaching for the target, 1 while holding it at the least cost."""
-    unit: Scalar
-    """Cost of the given start, so that the residual is of size one."""
-    slack: Scalar
-    """Misses up to this count as none while reaching for the target, in tolerances."""
-
-
-@stored
-def _looked_at(x, skipped, stage: _Stage, secondary: str, chain) -> tuple[Any, Any]:
-    """What the search needs to know of several places; both stages share the program."""
-
-    def values(x):
-        given = applied(stage.fixed, _steps(stage.setup), x)
-        outcome = chain(given, stage.setup)
-        # the worst place is no smooth function of the settings: each place is asked for
-        left = all_local_bands(outcome, stage.target)
-        missed = {
-            name: miss
-            for name, miss in all_misses(outcome, stage.target).items()
-            if name not in left
-        }
-        exact = jnp.where(stage.weight > 0, 1.0, 0.0)
-        off = [jnp.maximum(band, 0.0).reshape(-1) for band in left.values()]
-        off = jnp.concatenate([*(miss[None] for miss in missed.values()), *off])
-        off = off - jnp.clip(off, -stage.slack, stage.slack)
-        return Values(
-            residual=(
-                off * (1 - exact),
-                stage.weight * _cost(outcome, secondary) / stage.unit,
-            ),
-            inequality={
-                **all_excesses(outcome, stage.limits),
-                **{name: band * exact for name, band in left.items()},
-            },
-            equality={name: miss * exact for name, miss in missed.items()},
-        )
-
-    return looked_at(values, x, skipped)
-
-
-def _search(places, lower, upper, stage, secondary, tolerance, chain) -> Solution:
-    """One search from each place, side by side."""
-
-    def look(x, skipped):
-        return _looked_at(x, skipped, stage, secondary, chain)
-
-    return walked(look, places, lower, upper, rules(tolerance, len(places)))
-
-
-def rules(tolerance: float, count: int) -> Rules:
-    """When a search for some settings is over.
-
-    Args:
-        tolerance: As in `tune`.
-        count: How many settings move.
-    """
-    return Rules(tolerance, ROUNDS, max(TRIALS, count))
-
-
 def _put(values, where, new):
     """A copy of an array with some of its rows replaced."""
     values = np.array(values)
     values[where] = new
     return values
-
-
-def _far(inequality, equality, target: Mapping[str, Goal]) -> np.ndarray:
-    """Largest miss of a goal in the second stage, at several places [tolerances]."""
-    rows = []
-    for name, goal in target.items():
-        if goal.worst:
-            left = (np.asarray(inequality[band]) for band in band_names(name))
-            rows += [np.max(np.maximum(band, 0.0), axis=(1, 2)) for band in left]
-        else:
-            rows.append(np.abs(np.asarray(equality[name])))
-    return np.max(rows, axis=0)
 
 
 def _sensible(between: Mapping[str, Any], target: Mapping[str, Any], starts: int) -> None:
@@ -245,15 +159,6 @@ def _sensible(between: Mapping[str, Any], target: Mapping[str, Any], starts: int
             raise ValueError(f"`target` has {name!r}, which is no outcome, such as 'Ssk'.")
     if starts < 1:
         raise ValueError(f"`starts` is {starts}, must be 1 or more.")
-
-
-def _steps(setup: Setup | Plan) -> tuple[str, ...]:
-    """What the steps of a plan are called; nothing for a step alone."""
-    return setup.names if isinstance(setup, Plan) else ()
-
-
-def _cost(outcome: Outcome | PlanOutcome, secondary: str) -> Scalar:
-    return outcome.force_max if secondary == "force" else outcome.time
 
 
 @overload
@@ -335,7 +240,7 @@ def tune(
         ValueError: if a name or a bound makes no sense, or if searches are to be kept of
             a chain without a name of its own.
     """
-    steps = _steps(setup)
+    steps = steps_of(setup)
     begin = start if isinstance(start, Process) else tuple(start)
     _sensible(between, target, starts)
     setup = mapped(setup, target)
@@ -367,26 +272,12 @@ def tune(
         for side in (lower, upper)
     )
     zero = as_scalar(0.0)
-    reach = _Stage(setup, begin, dict(target), limits, zero, zero, zero + AIM)
-    # the model's slopes take longest to compile: the rest is done meanwhile
+    reach = Stage(
+        setup, begin, dict(target), limits, zero, zero, zero + AIM, secondary, chain
+    )
     some = {name: column[:together] for name, column in places.items()}
-    none = np.zeros(together, bool)
-    outline = _looked_at.ahead(some, none, reach, secondary, chain)
-    ahead(outline, some, low, high, rules(tolerance, len(between)))
-    bare = dataclasses.replace(reach, weight=zero + 1, unit=zero + 1)
-
-    def seen(x):
-        """Costs and largest misses at several places, from the program that is there."""
-        count, found = len(next(iter(x.values()))), []
-        for i in range(0, count, together):
-            chosen = np.minimum(np.arange(i, i + together), count - 1)
-            part = {name: jnp.asarray(column[chosen]) for name, column in x.items()}
-            parts, _ = _looked_at(part, none, bare, secondary, chain)
-            (_, cost), _, over, missed = parts
-            found.append((np.asarray(cost), _far(over, missed, target)))
-        return (np.concatenate(column)[:count] for column in zip(*found, strict=True))
-
-    unit = jnp.maximum(next(seen(some))[0], 1e-12)
+    prepare(some, low, high, reach, tolerance)
+    unit = jnp.maximum(seen(some, reach, together)[0][0], 1e-12)
     reach = dataclasses.replace(reach, unit=unit)
     hold = dataclasses.replace(reach, weight=jnp.ones_like(unit))
     exact = dataclasses.replace(reach, slack=zero)
@@ -395,20 +286,20 @@ def tune(
     outcome.ahead(begin, setup)
     done = None
     if store is not None:
-        done = Kept(store, lower, upper, reach, secondary, tolerance, chain)
+        done = Kept(store, lower, upper, reach, tolerance)
         if strange := done.strange():
             say(strange)
 
     def search(places, stage, numbers, number):
         def some(part):
-            return _search(part, low, high, stage, secondary, tolerance, chain)
+            return searched(part, low, high, stage, tolerance)
 
         kinds = np.full(numbers.shape, number)
         return in_batches(some, places, together, done, start=numbers, stage=kinds)
 
     say(f"reaching for the target from {starts} starts")
     final = search(places, reach, np.arange(starts), 1)
-    cost, distance = seen(final.x)
+    cost, distance = seen(final.x, reach, together)
     kept = final.status == Status.SOLVED
     hit = (distance <= HIT) & kept
     say(f"{int(np.sum(hit))} of {starts} starts reach it")
@@ -430,7 +321,7 @@ def tune(
         say(f"looking for {what} from the {len(chosen)} best answers")
         at = {name: x[chosen] for name, x in final.x.items()}
         held = search(at, stage, chosen, number)
-        paid, far = seen(held.x)
+        paid, far = seen(held.x, reach, together)
         # where the work ran out on the way to the least cost, the point may still do
         good = held.status == Status.SOLVED
         if stage is hold:
