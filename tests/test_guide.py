@@ -211,11 +211,18 @@ def test_smooth_corner_against_quadrature():
 
 def derivatives(function, at, order):
     """A function of a number and its derivatives up to an order, forwards."""
-    found = [function]
-    for _ in range(order):
-        before = found[-1]
-        found.append(lambda x, f=before: jax.jvp(f, (x,), (jnp.ones_like(x),))[1])
-    return jnp.stack([f(at) for f in found])
+
+    def up_to(order):
+        if order == 0:
+            return lambda x: (function(x),)
+
+        def more(x):
+            known, slopes = jax.jvp(up_to(order - 1), (x,), (jnp.ones_like(x),))
+            return *known, slopes[-1]
+
+        return more
+
+    return jnp.stack(up_to(order)(at))
 
 
 @pytest.mark.parametrize("corner", ["smooth", "arc"])
@@ -237,16 +244,19 @@ def test_derivatives_within_a_corner_are_those_of_its_formula(corner):
         x, y = 1 + cell.leg * (along - 1), cell.leg * across
         return jnp.stack([pitch * x, pitch * y, heading, bend])
 
-    def orders(function):
+    def orders(function, *modes):
         def all_orders(s, pitch):
             return derivatives(lambda s: function(s, pitch), s, 3)
 
-        found = (all_orders, jax.jacfwd(all_orders, 1), jax.jacrev(all_orders, 1))
-        return [jax.jit(jax.vmap(f, (0, None))) for f in found]
+        found = (all_orders, *(mode(all_orders, 1) for mode in modes))
+        return [jax.jit(jax.vmap(f, (0, None)))(s, guide.pitch) for f in found]
 
     s = guide.pitch * (begin + arc * jnp.linspace(0.03, 0.97, 20))
-    for got, want in zip(orders(known), orders(plain), strict=True):
-        assert_close(got(s, guide.pitch), want(s, guide.pitch), rtol=1e-8, atol=1e-8)
+    values, by_pitch = orders(plain, jax.jacfwd)
+    for got, want in zip(
+        orders(known, jax.jacfwd, jax.jacrev), (values, by_pitch, by_pitch), strict=True
+    ):
+        assert_close(got, want, rtol=1e-8, atol=1e-8)
 
 
 @EACH
