@@ -14,7 +14,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from bench_tune import CONFIGS, FEASIBLE, HIT, Once, model
+from bench_tune import CONFIGS, FEASIBLE, HIT, Once, model, on_either_side
 from polishopt.files.assemble import job as assemble
 from polishopt.files.config import load
 from polishopt.optimize.tune import spread_starts, tune
@@ -30,7 +30,7 @@ def slsqp(once, start):
     """Where SLSQP ends, by way of the nearest texture."""
     box = [(0.0, 1.0)] * len(start)
     limits = {"type": "ineq", "fun": lambda t: -once(t)[1]}
-    target = {"type": "eq", "fun": lambda t: once(t)[0]}
+    target = {"type": "ineq", "fun": lambda t: on_either_side(once(t)[0])}
     near = minimize(
         lambda t: 0.5 * once(t)[0] @ once(t)[0], start, method="SLSQP", bounds=box,
         constraints=[limits], options=OPTIONS,

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from bench_differences import OPTIONS
-from bench_tune import CONFIGS, FEASIBLE, HIT, Once
+from bench_tune import CONFIGS, FEASIBLE, HIT, Once, on_either_side
 from polishopt.files.assemble import plan_job
 from polishopt.files.config import load
 from polishopt.optimize.goals import Goal, all_excesses, all_misses, applied, setting
@@ -100,7 +100,7 @@ def main():
     once = Once(patient)
     box = [(0.0, 1.0)] * len(names)
     limits = {"type": "ineq", "fun": lambda t: -once(t)[1]}
-    target = {"type": "eq", "fun": lambda t: once(t)[0]}
+    target = {"type": "ineq", "fun": lambda t: on_either_side(once(t)[0])}
     began = time.perf_counter()
     for i, start in enumerate((starts - low) / width):
         point = start

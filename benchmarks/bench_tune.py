@@ -19,7 +19,15 @@ import numpy as np
 from polishopt.chain import polish
 from polishopt.files.assemble import job as assemble
 from polishopt.files.config import load
-from polishopt.optimize.tune import HIT, Verdict, excesses, misses, spread_starts, tune
+from polishopt.optimize.tune import (
+    AIM,
+    HIT,
+    Verdict,
+    excesses,
+    misses,
+    spread_starts,
+    tune,
+)
 from scipy.optimize import minimize
 
 
@@ -75,6 +83,11 @@ class Once:
         return self.answer
 
 
+def on_either_side(missed):
+    """What each goal has left of the band that `tune` allows it too."""
+    return AIM - np.concatenate([missed, -missed])
+
+
 def slsqp(once, start):
     """Misses, excesses and cost where SLSQP ends, by way of the nearest texture."""
     limits = {
@@ -97,9 +110,9 @@ def slsqp(once, start):
     if np.max(np.abs(once(point)[0][0])) > HIT:
         return point
     on_target = {
-        "type": "eq",
-        "fun": lambda t: once(t)[0][0],
-        "jac": lambda t: once(t)[1][0],
+        "type": "ineq",
+        "fun": lambda t: on_either_side(once(t)[0][0]),
+        "jac": lambda t: np.concatenate([-once(t)[1][0], once(t)[1][0]]),
     }
     cheap = minimize(
         lambda t: (once(t)[0][2], once(t)[1][2]),

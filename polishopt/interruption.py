@@ -100,15 +100,15 @@ def rows(
         named: From `keys`.
     """
     made = {}
+    from .optimize.goals import band_names
     from .optimize.tune import AIM
 
     for batch in batches:
         if "stage" not in batch:
             continue  # of another kind of search
-        # the second stage holds the goals, at the worst place as maps of limits
-        off = [np.abs(v) for k, v in batch.items() if k.startswith("equality ")]
-        maps = (v for k, v in batch.items() if k.startswith("inequality ") and v.ndim == 3)
-        off += [np.maximum(np.max(v, axis=(1, 2)), 0.0) for v in maps]
+        # the second stage holds the goals as limits, at the worst place as maps of them
+        ends = [v for k, v in batch.items() if k.endswith(band_names(""))]
+        off = [v + AIM if v.ndim == 1 else np.max(v.clip(0), axis=(1, 2)) for v in ends]
         # searches for the target see no miss below what they aim at
         held, first = np.max(off, axis=0), np.max(np.abs(batch["residual 0"]), axis=1)
         first = first + np.where(batch["stage"] == 1, AIM, 0.0)

@@ -1,8 +1,10 @@
 """Stage: what one search of a tuning is asked for, and the programs that carry it out.
 
 First for the target under the limits, as a least-squares problem; then, from what reached
-it, for the least cost on the target. Both are one problem with other numbers in it, so they
-share what is compiled.
+it, for the least cost on the target, which is a narrow band to either side of every goal.
+Were goals held exactly, two that all but say the same could only be met at a great cost, or
+hardly at all. Both stages are one problem with other numbers in it, so they share what is
+compiled.
 """
 
 import dataclasses
@@ -58,7 +60,7 @@ class Stage(eqx.Module):
     unit: Scalar
     """Cost of the given start, so that the residual is of size one [s or N]."""
     slack: Scalar
-    """Misses up to this count as none while reaching for the target, in tolerances."""
+    """Misses up to this count as none, in tolerances."""
     secondary: str = eqx.field(static=True)
     """Which cost: "time", "force" or "none"."""
     chain: Callable[..., Any] = eqx.field(static=True)
@@ -92,20 +94,22 @@ def _looked_at(x, skipped, stage: Stage) -> tuple[Any, Any]:
             for name, miss in all_misses(outcome, stage.target).items()
             if name not in left
         }
-        exact = jnp.where(stage.weight > 0, 1.0, 0.0)
+        holds = jnp.where(stage.weight > 0, 1.0, 0.0)
         off = [jnp.maximum(band, 0.0).reshape(-1) for band in left.values()]
         off = jnp.concatenate([*(miss[None] for miss in missed.values()), *off])
         off = off - jnp.clip(off, -stage.slack, stage.slack)
+        held = {
+            end: holds * (side - stage.slack)
+            for name, miss in missed.items()
+            for end, side in zip(band_names(name), (-miss, miss), strict=True)
+        }
+        held |= {end: holds * band for end, band in left.items()}
         return Values(
             residual=(
-                off * (1 - exact),
+                off * (1 - holds),
                 stage.weight * _cost(outcome, stage.secondary) / stage.unit,
             ),
-            inequality={
-                **all_excesses(outcome, stage.limits),
-                **{name: band * exact for name, band in left.items()},
-            },
-            equality={name: miss * exact for name, miss in missed.items()},
+            inequality={**all_excesses(outcome, stage.limits), **held},
         )
 
     return looked_at(values, x, skipped)
@@ -169,8 +173,8 @@ def seen(
             name: jnp.asarray(column[np.minimum(chosen, count - 1)])
             for name, column in x.items()
         }
-        (_, cost), _, over, missed = _looked_at(part, chosen >= count, bare)[0]
-        found.append((np.asarray(cost), _far(over, missed, stage.target)))
+        (_, cost), _, over, _ = _looked_at(part, chosen >= count, bare)[0]
+        found.append((np.asarray(cost), _far(over, stage)))
     costs, misses = (np.concatenate(parts)[:count] for parts in zip(*found, strict=True))
     return costs, misses
 
@@ -184,13 +188,14 @@ def _rules(tolerance: float, count: int) -> Rules:
     return Rules(tolerance, ROUNDS, max(TRIALS, count))
 
 
-def _far(inequality, equality, target: Mapping[str, Goal]) -> Float[np.ndarray, " starts"]:
+def _far(over: Mapping[str, Any], stage: Stage) -> Float[np.ndarray, " starts"]:
     """Largest miss of a goal in the second stage, at several places [tolerances]."""
     rows = []
-    for name, goal in target.items():
-        if goal.worst:
-            left = (np.asarray(inequality[band]) for band in band_names(name))
-            rows += [np.max(np.maximum(band, 0.0), axis=(1, 2)) for band in left]
-        else:
-            rows.append(np.abs(np.asarray(equality[name])))
+    for name, goal in stage.target.items():
+        for end in band_names(name):
+            side = np.asarray(over[end])
+            if goal.worst:
+                rows.append(np.max(np.maximum(side, 0.0), axis=(1, 2)))
+            else:
+                rows.append(side + float(stage.slack))
     return np.max(rows, axis=0)

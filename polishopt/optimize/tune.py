@@ -2,9 +2,9 @@ r"""Tune: the process whose texture hits the target while the limits hold.
 
 Two targets and four settings leave a family of answers, so the search has two stages.
 The first brings the texture to the target, as a least-squares problem under the limits.
-The second goes on from there to the least time (or force) on the set where the target is
-met exactly. Where the first stage cannot reach the target, its answer is the nearest
-texture that the limits allow, and the limits with multipliers are the ones in the way.
+The second goes on from there to the least time (or force) while the target is met. Where
+the first stage cannot reach the target, its answer is the nearest texture that the limits
+allow, and the limits with multipliers are the ones in the way.
 
 The starts are the given one and a scrambled Sobol sequence over the bounds. They run side
 by side under `vmap`, a few at a time; the cheapest of those that reach the target go on.
@@ -47,9 +47,9 @@ from .stage import Stage, prepare, searched, seen, steps_of
 
 
 # A texture is on target when every goal is met to this share of its tolerance: for the
-# usual tolerances of 0.05 and 0.1 far below what can be measured. Searches for the target
-# aim at a little less: within that, all textures are as good, and the valleys along which
-# ever smaller misses could be chased are not followed.
+# usual tolerances of 0.05 and 0.1 far below what can be measured. Searches aim at a little
+# less: within that, all textures are as good, and the valleys along which ever smaller
+# misses could be chased are not followed.
 HIT = 1e-2
 AIM = 0.9 * HIT
 # Limits hold if they are exceeded by no more than this share of their scale.
@@ -355,9 +355,7 @@ def tune(
     worth = jax.tree.map(lambda m: m * share, answer.inequality_multipliers)
     missed, exceeded = all_misses(reached, target), all_excesses(reached, limits)
 
-    def moved(name: str, goal: Goal) -> Scalar:
-        if not goal.worst:
-            return -answer.equality_multipliers[name] * share
+    def moved(name: str) -> Scalar:
         low, high = (jnp.sum(worth[band]) for band in band_names(name))
         return low - high
 
@@ -367,7 +365,7 @@ def tune(
         misses=missed,
         excesses=exceeded,
         multipliers={name: worth[name] for name in exceeded},
-        goal_multipliers={name: moved(name, goal) for name, goal in target.items()},
+        goal_multipliers={name: moved(name) for name in target},
         bound_multipliers=jax.tree.map(lambda m: m * share, answer.bound_multipliers),
         kkt=answer.kkt,
         violation=answer.violation,
