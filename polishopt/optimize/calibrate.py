@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
-from scipy.special import ndtri, stdtrit
 
 from ..constants import START, part, with_constants
 from ..contact.pressure import flat_force
@@ -417,6 +416,8 @@ def intervals(calibration: Calibration, level: float = 0.95) -> np.ndarray:
 
 def quantiles(calibration: Calibration, level: float = 0.95) -> np.ndarray:
     """How many standard errors an interval of each constant reaches to either side."""
+    from scipy.special import ndtri, stdtrit  # long to import, and rarely needed
+
     freedom, share = np.asarray(calibration.freedom), 0.5 + level / 2
     finite = np.isfinite(freedom)
     return np.where(finite, stdtrit(np.where(finite, freedom, 1.0), share), ndtri(share))

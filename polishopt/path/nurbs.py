@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.interpolate import make_lsq_spline
 
 from ..parts import Scalar, as_array
 
@@ -177,6 +176,8 @@ def fit_nurbs(
             f"the point grid has no {'xyz'[axis]} at row {i + 1}, column {j + 1}; fill "
             "gaps before a fit."
         )
+    from scipy.interpolate import make_lsq_spline  # long to import, and rarely needed
+
     found, knots, net = [], [], points
     for axis, (name, count, degree) in enumerate(
         zip(("along x", "along y"), counts, degrees, strict=True)

@@ -9,7 +9,6 @@ import math
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.fft import next_fast_len
 
 from ..parts import Scalar
 from .areal import fill_gaps
@@ -28,6 +27,8 @@ def fast_size(n: int) -> int:
     Args:
         n: Least size.
     """
+    from scipy.fft import next_fast_len  # half a second that most runs do not need
+
     return next_fast_len(n, real=True) or n
 
 
