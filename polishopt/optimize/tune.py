@@ -7,7 +7,7 @@ the first stage cannot reach the target, its answer is the nearest texture that 
 allow, and the limits with multipliers are the ones in the way.
 
 The starts are the given one and a scrambled Sobol sequence over the bounds. They run side
-by side under `vmap`, a few at a time; the cheapest of those that reach the target go on.
+by side, a few at a time; the cheapest of those that reach the target go on.
 What is finished can be kept, so that a search that was interrupted goes on where it was.
 """
 
@@ -56,7 +56,7 @@ AIM = 0.9 * HIT
 KEPT = 1e-6
 # The search ends at a projected gradient this small, in units of tolerances.
 TOLERANCE = 1e-6
-# Searches side by side under one `vmap`, and answers from which the cheapest is sought.
+# Searches side by side in one batch, and answers from which the cheapest is sought.
 TOGETHER, CHEAPEST = 4, 8
 
 
