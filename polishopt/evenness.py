@@ -12,7 +12,7 @@ from .parts import Process, Scalar
 from .path.even import Even
 from .preflight import Finding
 from .setup import Setup
-from .stored import stored
+from .stored import seldom
 
 
 # Variations below this are not worth a word [-].
@@ -21,7 +21,7 @@ NOTABLE = 1e-3
 WORTHWHILE = 1e-2
 
 
-@stored
+@seldom
 def forces(process: Process, setup: Setup) -> tuple[Scalar, Scalar]:
     """Smallest and largest force along the path [N]."""
     done = mechanics(process, setup)
@@ -41,7 +41,7 @@ def remarks(process: Process, setup: Setup) -> list[Finding]:
 
 
 def _coverage(setup: Setup) -> list[Finding]:
-    uneven, sheet = stored(uneven_coverage), setup.surface
+    uneven, sheet = seldom(uneven_coverage), setup.surface
     used = float(uneven(sheet, setup.guide, setup.size))
     sentence = f"The path covers the part evenly to {100 * used:.2g} % rms"
     if isinstance(sheet, Even):

@@ -75,7 +75,7 @@ def fit(
     from .files.assemble import job as assemble
     from .optimize.tune import tune
     from .postprocess import stuck
-    from .stored import stored
+    from .stored import seldom
 
     voice = told, _, say = opening(loaded, quiet)
     preload("scipy.stats", "polishopt.plots", "xarray", "h5netcdf")
@@ -83,7 +83,7 @@ def fit(
     solver = loaded.config.solver
     if hindered := stuck([(job.process, job.setup, loaded.config)]):
         return _cannot(hindered)
-    begin = stored(polish)(job.process, job.setup)
+    begin = seldom(polish)(job.process, job.setup)
     say(f"the start gives {report.summary(begin, job)}")
     threading.Thread(target=lambda: _rehearse(job), daemon=True).start()
     with told.status("searching"):
@@ -120,7 +120,7 @@ def fit_plan(
     from .optimize.tune import tune
     from .plan import follow
     from .postprocess import stuck
-    from .stored import stored
+    from .stored import seldom
 
     voice = told, _, say = opening(loaded, quiet)
     job = plan_job(loaded.steps)
@@ -146,7 +146,7 @@ def fit_plan(
         outcome = tuning.outcome
     else:
         with told.status(f"following {len(loaded.steps)} steps"):
-            outcome = stored(follow)(job.processes, job.plan)
+            outcome = seldom(follow)(job.processes, job.plan)
     from .answer import of_plan
 
     return of_plan(tuning, outcome, job, loaded, target, voice)

@@ -17,7 +17,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from .contact.removal import Grid
 from .path.surface import Surface
 from .plots import BLUE, GREY, MAP, SEVERAL
-from .stored import stored
+from .stored import seldom
 from .texture.spectrum import Spectrum, radial_mean
 from .units import from_internal, label
 
@@ -28,7 +28,7 @@ MESH = 25
 LEAST_HEIGHT = 0.12
 
 
-@stored
+@seldom
 def _points(surface, xy):
     return jax.vmap(jax.vmap(surface))(xy)
 

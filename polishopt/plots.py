@@ -29,7 +29,7 @@ from .parts import Process
 from .path.surface import curvature, jacobian, normal
 from .resolved import Run
 from .setup import Setup
-from .stored import stored
+from .stored import seldom
 from .texture.local import TextureMaps
 from .units import from_internal, label
 
@@ -44,12 +44,12 @@ DPI = 150
 
 
 # each is one compilation where its operations one by one would be many
-@stored
+@seldom
 def _margins(process, tool):
     return body_clearance(process, tool), unstick_force(process.tilt, tool)
 
 
-@stored
+@seldom
 def _along(guide, s):
     return jax.vmap(guide)(s).position
 
@@ -108,7 +108,7 @@ def contact(process: Process, setup: Setup) -> Figure:
     """
     tool, lean = setup.tool, setup.side
     bend = _bend(setup)
-    draw = stored(patch)
+    draw = seldom(patch)
     footing = draw(process, tool, bend, lean, 48, 48, setup.panels)
 
     figure = Figure((11, 5), layout="constrained")
@@ -461,7 +461,7 @@ def _disc(run: Run, i: int, radius: float) -> np.ndarray:
     return at.xy + (at.tip - at.contact + radius * rim)[:, :2]
 
 
-@stored
+@seldom
 def _forces(displacements, process: Process, tool, bend, lean, panels):
     """Force at each of several displacements [N]."""
 
@@ -472,7 +472,7 @@ def _forces(displacements, process: Process, tool, bend, lean, panels):
     return jax.vmap(at)(jnp.asarray(displacements))
 
 
-@stored
+@seldom
 def _bend(setup: Setup):
     """Curvature in the middle of the part, with the feed along x [1/mm]."""
     middle = setup.size / 2

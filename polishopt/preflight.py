@@ -19,7 +19,7 @@ from .machine.kinematics import pole_distance, rotary_order
 from .machine.route import standing
 from .parts import Machine, Process
 from .resolved import Run
-from .stored import stored
+from .stored import seldom
 
 
 # An orientation counts as reached within this angle [rad].
@@ -196,7 +196,7 @@ def _pole(path: Run, process: Process, machine: Machine) -> str:
     )
 
 
-@stored
+@seldom
 def _pole_sine(ways, machine):
     """Sine of the angle between each tool axis and the pole."""
     return (jax.vmap(lambda way: pole_distance(way, machine))(ways),)

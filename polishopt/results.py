@@ -36,7 +36,7 @@ from .optimize.uncertainty import Spread, spread
 from .optimize.variance import Variance, variance_shares
 from .parts import Abrasive, Process, Scalar
 from .setup import FINE, Setup
-from .stored import stored
+from .stored import seldom, stored
 from .texture.evolution import draw_patch
 from .texture.scratches import decay_rate, groove_depth
 from .texture.uncertainty import moment_errors
@@ -163,11 +163,11 @@ def spread_of(process: Process, job: Job) -> Spread | None:
 
 
 _run = stored(resolved.run)
-_sensitivities = stored(sensitivities)
-_spread = stored(spread)
+_sensitivities = seldom(sensitivities)
+_spread = seldom(spread)
 
 
-@stored
+@seldom
 def _fine_maps(process: Process, setup: Setup):
     """Maps of the removal [mm] and of the texture."""
     done = polish(process, dataclasses.replace(_closely(setup), local=True))
@@ -277,7 +277,7 @@ def write_plan_sensitivities(job: PlanJob, target: Path) -> None:
         target: The folder; exists.
     """
     names = tuple(job.between)
-    matrix = stored(plan_sensitivities)(job.processes, job.plan, PLAN_OUTCOMES, names)
+    matrix = seldom(plan_sensitivities)(job.processes, job.plan, PLAN_OUTCOMES, names)
     _write(matrix, target)
 
 
@@ -339,7 +339,7 @@ def texture_patch(tuning: Tuning, job: Job, config: StepConfig):
     return np.asarray(heights), extent
 
 
-@stored
+@seldom
 def _groove_width(abrasive: Abrasive, pressure: Scalar) -> Scalar:
     return 2 * groove_depth(abrasive, pressure) * jnp.tan(abrasive.half_angle)
 
@@ -374,7 +374,7 @@ def maps(
     grid, law = setup.grid, run.law
     rows, columns = np.asarray(heights).shape
     flat = jnp.zeros((2, 2), dtype=grid.x.dtype)
-    nodes = stored(patch)(tuning.process, setup.tool, flat, setup.side, 16, 24)
+    nodes = seldom(patch)(tuning.process, setup.tool, flat, setup.side, 16, 24)
     axes, rotary = np.asarray(run.axes), setup.machine.names[3:]
     along = ("sample",)
     variables = {

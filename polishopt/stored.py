@@ -14,6 +14,7 @@ import io
 import os
 import pickle
 import platform
+import re
 import threading
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -31,10 +32,10 @@ from jax.experimental import serialize_executable
 
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
 CPU_INFO = Path("/proc/cpuinfo")
-# What XLA is told so that it compiles fast rather than makes fast code: a search spends a
-# third of the time on compilation then, and as long as before on its work.
+LEVEL = "xla_backend_optimization_level"
+# What else XLA is told so that it compiles fast rather than makes fast code: a search
+# spends a third of the time on compilation then, and as long as before on its work.
 PLAIN = {
-    "xla_backend_optimization_level": 1,
     "xla_llvm_disable_expensive_passes": True,
     "xla_cpu_use_fusion_emitters": False,
     "xla_cpu_enable_concurrency_optimized_scheduler": False,
@@ -45,7 +46,7 @@ Result = TypeVar("Result")
 
 
 _folder: Path | None = None
-_made: dict[Callable[..., Any], "Stored"] = {}
+_made: dict[tuple[Callable[..., Any], int], "Stored"] = {}
 
 
 def keep_in(folder: Path | None) -> None:
@@ -72,7 +73,18 @@ def stored(f: Callable[Given, Result]) -> "Stored[Given, Result]":
     Returns:
         The function; its `ahead` has a program made in the background.
     """
-    return _made.setdefault(f, Stored(f))
+    return _made.setdefault((f, 1), Stored(f, 1))
+
+
+def seldom(f: Callable[Given, Result]) -> "Stored[Given, Result]":
+    """The same for what is run a few times only, or does next to nothing.
+
+    Its program takes half as long to compile, and some three times as long to run.
+
+    Args:
+        f: As in `stored`.
+    """
+    return _made.setdefault((f, 0), Stored(f, 0))
 
 
 class _Program(NamedTuple):
@@ -104,17 +116,19 @@ class _Made(NamedTuple):
 class Stored(Generic[Given, Result]):
     """A function with the programs that were made of it, by structure and shapes."""
 
-    def __init__(self, f: Callable[Given, Result]):
-        """No program yet; use `stored`, which keeps one of these for each function.
+    def __init__(self, f: Callable[Given, Result], level: int):
+        """No program yet; use `stored` or `seldom`, which keep one for each function.
 
         Args:
             f: As in `stored`.
+            level: How much XLA does for the speed of its program, from 0 to 3.
         """
         jit: Any = eqx.filter_jit
         self.f = f
+        self.level = level
         # options are for the outermost program only
         self.inside = jit(f)
-        self.jitted = functools.cache(lambda: jit(f, compiler_options=_plain()))
+        self.jitted = functools.cache(lambda: jit(f, compiler_options=_plain(level)))
         self.made: dict[Hashable, _Made] = {}
         self.lock = threading.Lock()
         functools.update_wrapper(self, f)
@@ -172,7 +186,7 @@ class Stored(Generic[Given, Result]):
         kinds = [(a.shape, str(a.dtype), getattr(a, "weak_type", False)) for a in arrays]
         # `fixed` has None both where an array is and where nothing is
         places = jax.tree.unflatten(structure, [0] * len(arrays))
-        made = _canonical((fixed, places, kinds))
+        made = _canonical((fixed, places, kinds, self.level))
         return f"{name}-{hashlib.sha256(made + surroundings()).hexdigest()[:32]}"
 
     def _make(self, key: str, fixed, arrays, structure) -> _Made:
@@ -202,7 +216,7 @@ class Stored(Generic[Given, Result]):
         # by this name JAX's own cache never has it: what was read from there cannot be
         # written again
         flat.__name__ = key
-        lowered = jax.jit(flat, compiler_options=_plain()).lower(arrays)
+        lowered = jax.jit(flat, compiler_options=_plain(self.level)).lower(arrays)
         shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in lowered.out_info]
 
         def work() -> _Program:
@@ -255,10 +269,17 @@ def _tried(run: Callable[..., Any], anew: Callable[[], _Made]) -> Callable[..., 
 
 
 @functools.cache
-def _plain() -> dict[str, Any]:
-    """Those of the options in `PLAIN` that the compiler at hand knows."""
+def _plain(level: int) -> dict[str, Any]:
+    """Those of the options in `PLAIN` that the compiler at hand knows.
+
+    Args:
+        level: How much it does for the speed of a program; less, if the environment asks
+            for less of all programs.
+    """
+    asked = re.search(rf"--{LEVEL}=(\d)", os.environ.get("XLA_FLAGS", ""))
+    level = min(level, int(asked[1])) if asked else level
     known = {}
-    for name, value in PLAIN.items():
+    for name, value in {LEVEL: level, **PLAIN}.items():
         with suppress(jax.errors.JaxRuntimeError, ValueError):
             jax.jit(lambda: 0, compiler_options={name: value}).lower().compile()
             known[name] = value

@@ -38,7 +38,7 @@ from ..path.revolution import peano_revolution
 from ..path.soundness import check_surface
 from ..path.surface import HyperbolicParaboloid, Plane, SphereCap
 from ..plan import Plan
-from ..stored import stored
+from ..stored import seldom, stored
 from ..texture.marks import milled_marks
 from ..texture.milling import MilledSurface, milled_map
 from ..texture.scratches import Population, groove_population
@@ -364,7 +364,7 @@ def start(config: StepConfig) -> jobs.Start:
     return jobs.Start(scratches=scratches, heights=heights, spacing=spacing)
 
 
-@stored  # one compilation, not one for each of its operations
+@seldom  # one compilation, not one for each of its operations
 def steady_scratches(grade: Abrasive, pressure: Scalar) -> Population:
     """What a grade that has polished for long leaves."""
     return groove_population(grade, pressure, LONG_AGO * grade.grain)

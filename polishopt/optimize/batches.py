@@ -19,7 +19,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
-from ..stored import stored
+from ..stored import seldom
 from .auglag import as_float
 from .box import slopes
 from .certificate import Solution
@@ -63,15 +63,16 @@ def looked_at(
         _, columns, found = slopes(parts, x, jnp.ones_like(point))
         return found, columns
 
+    look = jax.jit(look)  # traced but once
+
     def one(place):
         skipped, *rest = place
-        full = eqx.filter_closure_convert(look, *rest)  # traced but once
-        shapes = jax.eval_shape(full, *rest)
+        shapes = look.eval_shape(*rest)
 
         def nothing(*_):
             return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
 
-        return jax.lax.cond(skipped, nothing, lambda *rest: full(*rest), *rest)
+        return jax.lax.cond(skipped, nothing, look, *rest)
 
     places = (skipped, x, *given)
     if jax.default_backend() == "cpu":
@@ -123,7 +124,7 @@ def ahead(
     _ended.ahead(walk, parts, lower, upper, rules)
 
 
-@stored
+@seldom
 def _set_out(parts, places, lower, upper) -> Walk:
     def one(parts, x, lower, upper):
         return _typed(set_out(problem_of(parts, x, lower, upper), x))
@@ -131,7 +132,7 @@ def _set_out(parts, places, lower, upper) -> Walk:
     return jax.vmap(one)(parts, places, lower, upper)
 
 
-@stored
+@seldom
 def _turn(
     walk: Walk, parts, columns, lower, upper, rules: Rules
 ) -> tuple[Walk, Bool[Array, " starts"]]:
@@ -155,7 +156,7 @@ def _typed(walk: Walk) -> Walk:
     return jax.tree.map(lambda x: jnp.asarray(x, x.dtype), walk)
 
 
-@stored
+@seldom
 def _ended(walk: Walk, parts, lower, upper, rules: Rules) -> Solution:
     def one(walk, parts, lower, upper):
         problem = problem_of(parts, walk.x, lower, upper, width=walk.state.scale)

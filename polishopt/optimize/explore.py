@@ -20,7 +20,7 @@ from ..chain import Outcome, polish
 from ..parts import Process, Scalar, as_scalar
 from ..plan import Plan, PlanOutcome, follow_forward
 from ..setup import Setup
-from ..stored import stored
+from ..stored import seldom, stored
 from .batches import in_batches, looked_at, walked
 from .certificate import Solution, Status
 from .goals import (
@@ -234,7 +234,7 @@ class Explorer:
         goals = dict(target) if MISS in names else {}
         setup = mapped(setup, goals)
         chain = chain or (follow_forward if steps else polish)
-        outcome: Callable[..., Any] = stored(chain)
+        outcome: Callable[..., Any] = seldom(chain)
 
         def row(x):
             done = outcome(applied(begin, steps, x), setup)

@@ -26,7 +26,7 @@ from ..chain import Outcome, polish
 from ..parts import Process, Scalar, as_scalar
 from ..plan import Plan, PlanOutcome, follow_forward
 from ..setup import Setup
-from ..stored import stored
+from ..stored import seldom
 from .batches import in_batches
 from .certificate import Solution, Status
 from .goals import (
@@ -282,7 +282,7 @@ def tune(
     hold = dataclasses.replace(reach, weight=jnp.ones_like(unit))
     exact = dataclasses.replace(reach, slack=zero)
     # not needed before the end, so not in the way of what is
-    outcome = stored(chain)
+    outcome = seldom(chain)
     outcome.ahead(begin, setup)
     done = None
     if store is not None:

@@ -19,7 +19,7 @@ from ..constants import part, with_constants
 from ..parts import Process, Scalar
 from ..plan import Plan, PlanOutcome, follow
 from ..setup import Setup
-from ..stored import stored
+from ..stored import seldom
 
 
 OUTCOMES = (
@@ -142,7 +142,7 @@ def plan_spread(
     return tuple(Spread(tuple(outcomes), tuple(uncertain), errors, rows) for rows in slopes)
 
 
-@stored
+@seldom
 def _plan_slopes(values, processes, plan: Plan, places, outcomes, chain):
     """Derivatives `[step, outcome, constant]` of the outcomes by all constants."""
 
