@@ -17,7 +17,8 @@ import numpy as np
 from bench_tune import CONFIGS, FEASIBLE, HIT, Once, model, on_either_side
 from polishopt.files.assemble import job as assemble
 from polishopt.files.config import load
-from polishopt.optimize.tune import spread_starts, tune
+from polishopt.optimize.starts import spread_starts
+from polishopt.optimize.tune import tune
 from scipy.optimize import minimize
 
 

@@ -21,7 +21,8 @@ from bench_tune import CONFIGS, FEASIBLE, HIT, Once, on_either_side
 from polishopt.files.assemble import plan_job
 from polishopt.files.config import load
 from polishopt.optimize.goals import Goal, all_excesses, all_misses, applied, setting
-from polishopt.optimize.tune import spread_starts, tune
+from polishopt.optimize.starts import spread_starts
+from polishopt.optimize.tune import tune
 from polishopt.plan import follow
 from scipy.optimize import minimize
 

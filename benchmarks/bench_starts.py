@@ -26,7 +26,8 @@ from polishopt.optimize.batches import in_batches
 from polishopt.optimize.certificate import Status
 from polishopt.optimize.goals import Limits, mapped
 from polishopt.optimize.stage import Stage, searched
-from polishopt.optimize.tune import AIM, HIT, TOGETHER, TOLERANCE, spread_starts, tune
+from polishopt.optimize.starts import spread_starts
+from polishopt.optimize.tune import AIM, HIT, TOGETHER, TOLERANCE, tune
 from polishopt.parts import as_scalar
 
 

@@ -19,13 +19,13 @@ import numpy as np
 from polishopt.chain import polish
 from polishopt.files.assemble import job as assemble
 from polishopt.files.config import load
+from polishopt.optimize.starts import spread_starts
 from polishopt.optimize.tune import (
     AIM,
     HIT,
     Verdict,
     excesses,
     misses,
-    spread_starts,
     tune,
 )
 from scipy.optimize import minimize

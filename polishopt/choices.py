@@ -66,7 +66,7 @@ def compare(asked: Asked, store: Searches) -> int:
     from .optimize.tune import Verdict
 
     voice = opening(asked.loaded, asked.given.quiet)
-    preload("scipy.stats", "polishopt.plots", "xarray", "h5netcdf")
+    preload("polishopt.plots", "xarray", "h5netcdf")
     candidates, cannot = _candidates(asked.loaded.alternatives)
     if not candidates:
         for name, sentence in cannot.items():

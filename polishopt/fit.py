@@ -11,6 +11,7 @@ goes on from there.
 import contextlib
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 from .files.config import Loaded
@@ -78,14 +79,12 @@ def fit(
     from .stored import seldom
 
     voice = told, _, say = opening(loaded, quiet)
-    preload("scipy.stats", "polishopt.plots", "xarray", "h5netcdf")
     job = assemble(loaded.config)
     solver = loaded.config.solver
     if hindered := stuck([(job.process, job.setup, loaded.config)]):
         return _cannot(hindered)
     begin = seldom(polish)(job.process, job.setup)
     say(f"the start gives {report.summary(begin, job)}")
-    threading.Thread(target=lambda: _rehearse(job), daemon=True).start()
     with told.status("searching"):
         tuning = tune(
             job.setup,
@@ -97,7 +96,7 @@ def fit(
             solver.starts,
             solver.seed,
             solver.tolerance,
-            progress=say,
+            progress=_meanwhile(say, lambda: _rehearse(job)),
             store=store,
         )
     from .answer import of_step
@@ -160,8 +159,25 @@ def _cannot(sentences: list[str]) -> int:
     return int(Verdict.INFEASIBLE)
 
 
+def _meanwhile(say: Callable[[str], None], work: Callable[[], None]):
+    """The same voice; with its first word, work begins in the background.
+
+    Until a search says something, it compiles, and nothing should be in its way.
+    """
+    worker = threading.Thread(target=work, daemon=True)
+
+    def speak(sentence: str) -> None:
+        say(sentence)
+        if worker.ident is None:
+            worker.start()
+
+    return speak
+
+
 def _rehearse(job) -> None:
     from .results import rehearse
+
+    preload("polishopt.plots", "xarray", "h5netcdf")
 
     # whatever is wrong will be said when it is needed
     with contextlib.suppress(Exception):

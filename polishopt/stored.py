@@ -16,7 +16,7 @@ import pickle
 import platform
 import re
 import threading
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from importlib.metadata import version
@@ -190,20 +190,23 @@ class Stored(Generic[Given, Result]):
         return f"{name}-{hashlib.sha256(made + surroundings()).hexdigest()[:32]}"
 
     def _make(self, key: str, fixed, arrays, structure) -> _Made:
-        """Reads a program, or traces it and has it compiled in the background."""
+        """Has a program read, or traces it and has it compiled, in the background."""
         path = None if _folder is None else _folder / key
 
-        def anew() -> _Made:
-            return self._compile(key, fixed, arrays, structure, path)
+        def anew() -> _Program:
+            return self._lowered(key, fixed, arrays, structure, path)[1]()
 
         kept = None if path is None else _read(path)
         if kept is None:
-            return anew()
-        ready: Future[_Program] = Future()
-        ready.set_result(kept._replace(run=_tried(kept.run, anew)))
-        return _Made(lambda: kept.result(kept.shapes), ready)
+            outline, work = self._lowered(key, fixed, arrays, structure, path)
+        else:
+            outline, work = kept.outline, lambda: kept.program(anew)
+        return _Made(lambda: outline.result(outline.shapes), _background().submit(work))
 
-    def _compile(self, key: str, fixed, arrays, structure, path: Path | None) -> _Made:
+    def _lowered(
+        self, key: str, fixed, arrays, structure, path: Path | None
+    ) -> tuple[_Program, Callable[[], _Program]]:
+        """A program that cannot run yet, and what compiles it."""
         shape: list[Any] = []
 
         def flat(leaves):
@@ -218,6 +221,7 @@ class Stored(Generic[Given, Result]):
         flat.__name__ = key
         lowered = jax.jit(flat, compiler_options=_plain(self.level)).lower(arrays)
         shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in lowered.out_info]
+        outline = _Program(list, shape[0], shape[1], shapes)
 
         def work() -> _Program:
             compiled = lowered.compile()
@@ -225,16 +229,37 @@ class Stored(Generic[Given, Result]):
             with suppress(Exception):
                 if path is not None:
                     parts = serialize_executable.serialize(compiled)
-                    _write(path, pickle.dumps((*parts, *shape, shapes)))
-            return _Program(compiled, shape[0], shape[1], shapes)
+                    _write(path, pickle.dumps((*parts, *outline[1:])))
+            return outline._replace(run=compiled)
 
-        outline = _Program(list, shape[0], shape[1], shapes)
-        return _Made(lambda: outline.result(shapes), _compilers().submit(work))
+        return outline, work
+
+
+class _Kept(NamedTuple):
+    """A program as it was read from its file."""
+
+    parts: list[Any]
+    """What JAX makes an executable of."""
+    outline: _Program
+    """The program, which cannot run yet."""
+
+    def program(self, anew: Callable[[], _Program]) -> _Program:
+        """The program itself, or a new one where this was badly kept.
+
+        Args:
+            anew: Makes a new one.
+        """
+        try:
+            _ready_for_linear_algebra()
+            run = serialize_executable.deserialize_and_load(*self.parts)
+        except Exception:
+            return anew()
+        return self.outline._replace(run=_tried(run, anew))
 
 
 @functools.cache
-def _compilers() -> ThreadPoolExecutor:
-    """Where programs are compiled, which Python does not have to wait for."""
+def _background() -> ThreadPoolExecutor:
+    """Where programs are compiled or read, which Python does not have to wait for."""
     return ThreadPoolExecutor(2, "compile")
 
 
@@ -251,7 +276,7 @@ def _quick(folder, structure, fixed, arrays) -> Hashable:
     return name
 
 
-def _tried(run: Callable[..., Any], anew: Callable[[], _Made]) -> Callable[..., Any]:
+def _tried(run: Callable[..., Any], anew: Callable[[], _Program]) -> Callable[..., Any]:
     """A program that was read; one that was badly kept does not run, and is made again."""
     good: list[Callable[..., Any]] = []
 
@@ -262,7 +287,7 @@ def _tried(run: Callable[..., Any], anew: Callable[[], _Made]) -> Callable[..., 
                 good.append(run)
                 return result
             except jax.errors.JaxRuntimeError:
-                good.append(anew().program.result().run)
+                good.append(anew().run)
         return good[0](arrays)
 
     return carefully
@@ -299,13 +324,11 @@ def _canonical(thing: Any) -> bytes:
     return written.getvalue()
 
 
-def _read(path: Path) -> _Program | None:
-    """A program from its file; None where there is none that can be read."""
-    _ready_for_linear_algebra()
+def _read(path: Path) -> _Kept | None:
+    """What is kept of a program; None where there is nothing that can be read."""
     with suppress(Exception):
         *parts, found, rest, shapes = pickle.loads(path.read_bytes())
-        run = serialize_executable.deserialize_and_load(*parts)
-        return _Program(run, found, rest, shapes)
+        return _Kept(parts, _Program(list, found, rest, shapes))
     return None
 
 
@@ -321,6 +344,30 @@ def _write(path: Path, content: bytes) -> None:
     beside = path.with_name(f"{path.name}.{os.getpid()}")
     beside.write_bytes(content)
     beside.replace(path)
+
+
+def remembered(
+    name: str, sources: Sequence[str], make: Callable[[], np.ndarray]
+) -> np.ndarray:
+    """Numbers that take long to come by, kept beside the programs.
+
+    Args:
+        name: What they are; what they are made from is part of it.
+        sources: Versions of what makes them.
+        make: Makes them.
+    """
+    if _folder is None:
+        return make()
+    mark = hashlib.sha256("\n".join(sources).encode()).hexdigest()[:16]
+    path = _folder / f"{name}-{mark}.npy"
+    with suppress(Exception):
+        return np.load(path)
+    numbers = make()
+    with suppress(OSError):
+        written = io.BytesIO()
+        np.save(written, numbers)
+        _write(path, written.getvalue())
+    return numbers
 
 
 def fingerprint(*given: Any) -> str:

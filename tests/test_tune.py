@@ -15,7 +15,8 @@ from polishopt.files.assemble import job
 from polishopt.files.config import load
 from polishopt.optimize.basins import basins
 from polishopt.optimize.certificate import Status
-from polishopt.optimize.tune import AIM, Verdict, excesses, misses, spread_starts
+from polishopt.optimize.starts import spread_starts
+from polishopt.optimize.tune import AIM, Verdict, excesses, misses
 from polishopt.texture.scratches import Population
 from scipy.optimize import minimize
 

@@ -35,7 +35,8 @@ from .goals import (
     setting,
 )
 from .kept import Kept, Store
-from .tune import KEPT, TOGETHER, spread_starts
+from .starts import spread_starts
+from .tune import KEPT, TOGETHER
 from .values import Values
 from .walk import Rules
 

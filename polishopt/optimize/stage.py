@@ -134,23 +134,20 @@ def searched(
     return walked(look, places, lower, upper, _rules(tolerance, len(places)))
 
 
-def prepare(
-    places: Places, lower: Places, upper: Places, stage: Stage, tolerance: float
-) -> None:
+def prepare(lower: Places, upper: Places, stage: Stage, tolerance: float) -> None:
     """Has the programs of `searched` and `seen` made in the background.
 
     The model's slopes take longest to compile: the rest is done meanwhile.
 
     Args:
-        places: As in `searched`.
         lower: As in `searched`.
         upper: As in `searched`.
         stage: As in `searched`.
         tolerance: As in `searched`.
     """
-    count = len(next(iter(places.values())))
-    outline = _looked_at.ahead(places, np.zeros(count, bool), stage)
-    ahead(outline, places, lower, upper, _rules(tolerance, len(places)))
+    count = len(next(iter(lower.values())))
+    outline = _looked_at.ahead(lower, np.zeros(count, bool), stage)
+    ahead(outline, lower, lower, upper, _rules(tolerance, len(lower)))
 
 
 def seen(

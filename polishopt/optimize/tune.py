@@ -44,6 +44,7 @@ from .goals import (
 )
 from .kept import Kept, Store
 from .stage import Stage, prepare, searched, seen, steps_of
+from .starts import spread_starts
 
 
 # A texture is on target when every goal is met to this share of its tolerance: for the
@@ -112,34 +113,6 @@ class Tuning(eqx.Module, Generic[Settings, Result]):
     """How often each evaluated the chain."""
     followed: Bool[Array, " starts"]
     """Which of them reached the target and went on to the least cost."""
-
-
-def spread_starts(
-    first: Mapping[str, float | Scalar],
-    between: Mapping[str, tuple[float, float]],
-    count: int,
-    seed: int = 0,
-) -> dict[str, Float[Array, " count"]]:
-    """The given start, then a scrambled Sobol sequence over the bounds.
-
-    Args:
-        first: The given start, by setting.
-        between: Lower and upper bound of each setting.
-        count: How many starts in all.
-        seed: Seed of the scrambling.
-    """
-    from scipy.stats import qmc  # takes longer to import than all of JAX
-
-    names = list(between)
-    with np.errstate(all="ignore"):
-        power = max(count - 1, 1).bit_length()
-        cloud = qmc.Sobol(len(names), rng=np.random.default_rng(seed)).random_base2(power)
-    starts = {}
-    for i, name in enumerate(names):
-        low, high = between[name]
-        column = low + (high - low) * cloud[: count - 1, i]
-        starts[name] = jnp.asarray(np.concatenate([[float(first[name])], column]))
-    return starts
 
 
 def _put(values, where, new):
@@ -261,7 +234,6 @@ def tune(
     say = progress or (lambda _: None)
     lower = {name: as_scalar(low) for name, (low, _) in between.items()}
     upper = {name: as_scalar(high) for name, (_, high) in between.items()}
-    places = spread_starts(first, between, starts, seed)
 
     # an accelerator takes all starts at once; a processor has work for two batches
     together = starts
@@ -275,8 +247,9 @@ def tune(
     reach = Stage(
         setup, begin, dict(target), limits, zero, zero, zero + AIM, secondary, chain
     )
+    prepare(low, high, reach, tolerance)
+    places = spread_starts(first, between, starts, seed)
     some = {name: column[:together] for name, column in places.items()}
-    prepare(some, low, high, reach, tolerance)
     unit = jnp.maximum(seen(some, reach, together)[0][0], 1e-12)
     reach = dataclasses.replace(reach, unit=unit)
     hold = dataclasses.replace(reach, weight=jnp.ones_like(unit))
