@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .batched import in_batches
-from .contact.pressure import most_displacement, patch
+from .contact.pressure import force_and_area, most_displacement
 from .parts import Process, Scalar, Tool
 from .path.surface import curvature
 from .path.toolpath import posture
@@ -84,28 +84,20 @@ def held_displacement(process: Process, setup: Setup, bend: Float[Array, "2 2"])
 
     Args:
         process: Tilt and the nominal displacement are read.
-        setup: Tool, sampling of the contact, and what to hold are read.
+        setup: Tool, and what to hold are read.
         bend: Normal curvature of the part along (feed, left) [1/mm].
 
     Source: own derivation.
     """
-    sampling = setup.sampling
 
     def held(displacement, given: tuple[Process, Tool, Float[Array, "2 2"]]):
         process, tool, bend = given
-        nodes = patch(
-            dataclasses.replace(process, displacement=displacement),
-            tool,
-            bend,
-            setup.side,
-            sampling.rows,
-            sampling.columns,
-            setup.panels,
-        )
-        some = nodes.force > 0
-        force = jnp.where(some, nodes.force, 1.0)
+        pressed = dataclasses.replace(process, displacement=displacement)
+        force, area = force_and_area(pressed, tool, bend, setup.side, setup.panels)
+        some = force > 0
+        force = jnp.where(some, force, 1.0)
         if setup.hold == "pressure":
-            return jnp.where(some, force / jnp.where(some, nodes.contact_area, 1.0), 0.0)
+            return jnp.where(some, force / jnp.where(some, area, 1.0), 0.0)
         return jnp.where(some, force**STRAIGHT, 0.0)
 
     def closer(displacement, given, aim):

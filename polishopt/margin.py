@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .constants import part, with_constants
-from .contact.pressure import flat_force, patch, shear_margin, unstick_force
+from .contact.pressure import flat_force, force_and_area, shear_margin, unstick_force
 from .parts import Process, Scalar
 from .setup import Setup
 
@@ -69,10 +69,7 @@ def margin_deviations(
         if setup.level:
             force = flat_force(tool.radius, tool.foundation, *pressed, tool.stiffening)
         else:
-            rows, columns = setup.sampling.rows, setup.sampling.columns
-            force = patch(
-                process, tool, hardest, setup.side, rows, columns, setup.panels
-            ).force
+            force, _ = force_and_area(process, tool, hardest, setup.side, setup.panels)
         unstick = unstick_force(process.tilt, tool) - force
         return jnp.stack([unstick, shear_margin(deepest, tool)])
 

@@ -24,6 +24,7 @@ from .contact.pressure import (
     envelope,
     flat_area,
     flat_force,
+    force_and_area,
     patch,
     shear_margin,
     unstick_force,
@@ -158,8 +159,8 @@ def along(process: Process, setup: Setup) -> Stations:
             process, setup.tool, bend, side, sampling.rows, sampling.columns, setup.panels
         )
 
-    # one contact patch serves all phases of a loop, and on a plane all stations; there its
-    # force and area are exact: the area of the nodes has a corner wherever a row of them
+    # one contact patch serves all phases of a loop, and on a plane all stations; its force
+    # and area are found apart: the area of its nodes has a corner wherever a row of them
     # comes to reach across the disc
     level, flat = None, ()
     if setup.level:
@@ -246,7 +247,9 @@ def along(process: Process, setup: Setup) -> Stations:
         dwell = weight / count / speed
         mean_bend = jnp.mean(jax.vmap(bend)(place), axis=0)
         nodes = footing(here, mean_bend) if level is None else level
-        force, area = flat or (nodes.force, nodes.contact_area)
+        force, area = flat or force_and_area(
+            here, setup.tool, mean_bend, side, setup.panels
+        )
         points, volumes = jax.vmap(touch, in_axes=(None, 0, 0, 0, 0))(
             nodes, place, tangent, speed, dwell
         )

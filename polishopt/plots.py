@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from .chain import Outcome
-from .contact.pressure import body_clearance, patch, unstick_force
+from .contact.pressure import body_clearance, force_and_area, patch, unstick_force
 from .parts import Process
 from .path.surface import curvature, jacobian, normal
 from .resolved import Run
@@ -467,7 +467,7 @@ def _forces(displacements, process: Process, tool, bend, lean, panels):
 
     def at(displacement):
         pressed = dataclasses.replace(process, displacement=displacement)
-        return patch(pressed, tool, bend, lean, 16, 8, panels).force
+        return force_and_area(pressed, tool, bend, lean, panels)[0]
 
     return jax.vmap(at)(jnp.asarray(displacements))
 

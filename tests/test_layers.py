@@ -31,7 +31,7 @@ optimize.model optimize.box optimize.values optimize.penalty optimize.certificat
 optimize.naming
 optimize.steering optimize.outer optimize.implicit optimize.adapted optimize.walk
 optimize.auglag optimize.goals optimize.uncertainty
-optimize.kept optimize.batches optimize.stage
+optimize.kept optimize.batches optimize.stage optimize.starts
 optimize.tune optimize.choices optimize.basins optimize.explore optimize.front
 optimize.sensitivity optimize.variance
 optimize.attribution

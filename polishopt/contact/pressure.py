@@ -19,6 +19,9 @@ from jaxtyping import Array, Float
 from ..parts import Process, Scalar, Tool
 
 
+# Of `force_and_area`: rows on either side of a corner, nodes in each, exact for what a bed
+# that stiffens presses, and steps of Newton's method to that corner.
+LOAD_ROWS, LOAD_COLUMNS, NEWTON = 8, 3, 3
 # Smallest rim angle at which a patch is drawn [-]: keeps arccos away from its corner.
 TINY = 1e-12
 
@@ -238,13 +241,36 @@ def patch(
 
     Source: own derivation; flat case as `flat_force`.
     """
-    radius, slope, level = tool.radius, jnp.sin(process.tilt), jnp.cos(process.tilt)
-    nodes, weights = (w.astype(float) for w in np.polynomial.legendre.leggauss(rows))
-    half_angle = 0.5 * _rim_angle(process, radius, curvature)
-    angle = half_angle * jnp.asarray(nodes + 1.0, dtype=half_angle.dtype)
+    nodes, weights = _gauss(rows)
+    half_angle = _rim_angle(process, tool.radius, curvature)
+    angle, height = half_angle * nodes, half_angle * weights
     angle = jnp.concatenate([-angle[::-1], angle])
-    height = half_angle * jnp.asarray(weights, dtype=half_angle.dtype)
-    height = jnp.concatenate([height[::-1], height]) * radius * jnp.cos(angle)
+    height = jnp.concatenate([height[::-1], height])
+    return _nodes(angle, height, process, tool, curvature, lean, columns, panels)
+
+
+def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights of Gauss and Legendre from 0 to 1."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return (nodes + 1.0) / 2, weights / 2
+
+
+def _nodes(
+    angle: Float[Array, " rows"],
+    height: Float[Array, " rows"],
+    process: Process,
+    tool: Tool,
+    curvature: Float[Array, "2 2"],
+    lean: float,
+    columns: int,
+    panels: int,
+) -> Patch:
+    """The patch by rows that leave the rim at some angles from the contact point.
+
+    `height` is the angle that a row stands for; the rest is as in `patch`.
+    """
+    radius, slope, level = tool.radius, jnp.sin(process.tilt), jnp.cos(process.tilt)
+    height = height * radius * jnp.cos(angle)
     eta = radius * jnp.sin(angle)
 
     # depth along a row: start - steep x - bend x^2 / 2
@@ -269,9 +295,7 @@ def patch(
         second = jnp.where(concave, below / jnp.where(concave, -bend, 1.0), far)
         ends.append((jnp.clip(second, first, far), far))
 
-    nodes, weights = (w.astype(float) for w in np.polynomial.legendre.leggauss(columns))
-    nodes = jnp.asarray(0.5 * (nodes + 1.0), dtype=eta.dtype)[None, :]
-    weights = jnp.asarray(0.5 * weights, dtype=eta.dtype)[None, :]
+    nodes, weights = (jnp.asarray(w, eta.dtype)[None, :] for w in _gauss(columns))
     x = jnp.concatenate([a[:, None] + (b - a)[:, None] * nodes for a, b in ends], axis=1)
     width = jnp.concatenate([(b - a)[:, None] * weights for a, b in ends], axis=1)
     depth = start[:, None] - steep[:, None] * x - 0.5 * bend * x**2
@@ -282,6 +306,88 @@ def patch(
         pressure=bed_pressure(tool.foundation, tool.stiffening, depth),
         area=level * width * height[:, None],
     )
+
+
+def force_and_area(
+    process: Process,
+    tool: Tool,
+    curvature: Float[Array, "2 2"],
+    lean: float = 1.0,
+    panels: int = 1,
+) -> tuple[Scalar, Scalar]:
+    r"""Force [N] and area [mm^2] of the contact on a part of given local curvature.
+
+    The integral of `patch`, with slopes that have no corners. A row of the patch either
+    ends where the disc lifts off, or reaches across it; with rows at fixed places, the
+    area has a corner whenever one of them goes over from one to the other. So the rows are
+    laid on either side of the place where that happens: where the edge of the contact
+    meets the far half of the rim, at the angle $\varphi$ from the contact point with
+    $e = R\sin\theta\,c + \tfrac12\kappa_{\xi\xi}\cos^2\theta R^2 c^2
+    + \tfrac12\kappa_{\eta\eta} R^2 \sin^2\varphi
+    \mp \kappa_{\xi\eta}\cos\theta R^2 c\sin\varphi$, $c = 1 - \cos\varphi$.
+
+    Args:
+        process: As in `patch`.
+        tool: As in `patch`.
+        curvature: As in `patch`.
+        lean: As in `patch`.
+        panels: As in `patch`.
+
+    Source: own derivation; on a plane `flat_force` and `flat_area`.
+    """
+    nodes, weights = _gauss(LOAD_ROWS)
+    angles, heights = [], []
+    for side in (-1.0, 1.0):
+        edge = _edge_angle(process, tool.radius, curvature, lean * side)
+        widest = jnp.minimum(edge, 0.5 * jnp.pi)
+        lifts = jnp.minimum(edge, jnp.pi - edge)
+        for begin, end in ((jnp.zeros_like(edge), lifts), (lifts, widest)):
+            angles.append(side * (begin + (end - begin) * nodes))
+            heights.append((end - begin) * weights)
+    angle, height = jnp.concatenate(angles), jnp.concatenate(heights)
+    found = _nodes(angle, height, process, tool, curvature, lean, LOAD_COLUMNS, panels)
+    return found.force, found.contact_area
+
+
+def _edge_angle(process, radius, curvature, side) -> Scalar:
+    """Rim angle from the contact point at which the contact ends, on one side [rad].
+
+    Depth along the rim is zero at a root of a quartic in u = cot(angle / 2), which without
+    twist is a quadratic in its square. From that root, or near the far end of the rim from
+    a quadratic in u that has it too, Newton's method goes on to the twisted one.
+    """
+    slope, level = jnp.sin(process.tilt), jnp.cos(process.tilt)
+    depth = jnp.maximum(process.displacement, 0.0)
+    linear = radius * slope + curvature[1, 1] * radius**2
+    square = 0.5 * radius**2 * (curvature[0, 0] * level**2 - curvature[1, 1])
+    twist = 4 * side * level * curvature[0, 1] * radius**2
+    # depth (u^2 + 1)^2 - 2 linear (u^2 + 1) - 4 square + twist u
+    middle, farthest = 2 * (depth - linear), depth - 2 * linear - 4 * square
+
+    inside = linear**2 + 4 * square * depth
+    root = jnp.sqrt(jnp.where(inside > 0, inside, 1.0))
+    below = jnp.where(inside > 0, linear + root, 0.0)
+    ends = below > depth  # otherwise the whole rim would touch
+    rise = jnp.where(ends, 2 * depth / jnp.where(ends, below, 1.0), 2.0)
+    rise = jnp.clip(rise, _tiny(rise), 2 - _tiny(rise))
+    u = jnp.sqrt((2 - rise) / rise)
+
+    lead = jnp.where(farthest < 0, -farthest / u**2, middle)
+    inside = twist**2 - 4 * lead * farthest
+    some = (inside > 0) & (lead > 0) & ((farthest < 0) | (twist < 0))
+    root = jnp.sqrt(jnp.where(some, inside, 1.0)) + jnp.abs(twist)
+    twisted = jnp.where(
+        twist > 0, -2 * farthest / root, root / jnp.where(some, 2 * lead, 1.0)
+    )
+    far = some & ((u < 1) | ~ends)
+    u = jnp.where(far, twisted, u)
+    for _ in range(NEWTON):
+        left = (depth * u**2 + middle) * u**2 + twist * u + farthest
+        rises = (4 * depth * u**2 + 2 * middle) * u + twist
+        good = (ends | far) & (rises > 0)
+        step = jnp.where(good, left / jnp.where(good, rises, 1.0), 0.0)
+        u = jnp.maximum(u - step, 0.5 * u)
+    return 2 * jnp.arctan2(jnp.ones_like(u), u)
 
 
 def body_clearance(process: Process, tool: Tool) -> Scalar:
