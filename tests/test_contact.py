@@ -1,5 +1,6 @@
 """The disc against closed forms on the flat, and brute force on curved parts."""
 
+import itertools
 import math
 
 import equinox as eqx
@@ -18,6 +19,7 @@ FLAT = jnp.zeros((2, 2))
 
 
 patch = eqx.filter_jit(pressure.patch)
+force_and_area = eqx.filter_jit(pressure.force_and_area)
 
 
 def disc(diameter=18.0, foundation=0.3, **more):
@@ -135,6 +137,92 @@ def test_saddle_with_twist_matches_brute_force(lean):
     assert_close(nodes.contact_area, area, rtol=1e-2)
 
 
+@pytest.mark.parametrize("tilt_deg", [0.5, 3, 10, 40])
+@pytest.mark.parametrize("displacement", [0.05, 0.3, 0.9, 2.5])
+@pytest.mark.parametrize("stiffening", [0.0, 0.7])
+def test_force_and_area_on_a_plane_are_the_closed_forms(tilt_deg, displacement, stiffening):
+    tool, setting = disc(stiffening=stiffening), process(tilt_deg, displacement)
+    force, area = force_and_area(setting, tool, FLAT)
+    pressed = setting.tilt, setting.displacement
+    exact = pressure.flat_force(tool.radius, tool.foundation, *pressed, tool.stiffening)
+    assert_close(force, exact, rtol=1e-9)
+    assert_close(area, pressure.flat_area(tool.radius, *pressed), rtol=1e-11)
+
+
+def by_rays(tilt_deg, displacement, curvature, lean, radius=9.0, count=200_000):
+    """Force over the bed's stiffness, and area: along rays from the disc's centre."""
+    tilt, ((k, t), (_, m)) = tilt_deg * DEG, np.asarray(curvature)
+    ray = 2 * np.pi * (np.arange(count) + 0.5) / count
+    cos, sin, k, t = (
+        np.cos(ray),
+        np.sin(ray),
+        np.cos(tilt) ** 2 * k,
+        lean * np.cos(tilt) * t,
+    )
+    # x = radius - rho cos and eta = rho sin make the depth a quadratic in rho
+    depth = [
+        (displacement - np.sin(tilt) * radius - 0.5 * k * radius**2) * np.ones(count),
+        np.sin(tilt) * cos + t * radius * sin + k * radius * cos,
+        -t * cos * sin - 0.5 * k * cos**2 - 0.5 * m * sin**2,
+    ]
+    root = np.sqrt(np.maximum(depth[1] ** 2 - 4 * depth[0] * depth[2], 0.0))
+    ends = [np.zeros(count), (-depth[1] - root) / (2 * depth[2])]
+    ends += [(-depth[1] + root) / (2 * depth[2]), np.full(count, radius)]
+    ends = np.sort(np.clip(ends, 0.0, radius), axis=0)
+    force = area = 0.0
+    for begin, end in itertools.pairwise(ends):
+        middle = 0.5 * (begin + end)
+        pressed = sum(d * middle**n for n, d in enumerate(depth)) > 0
+        parts = [
+            d * (end ** (n + 2) - begin ** (n + 2)) / (n + 2) for n, d in enumerate(depth)
+        ]
+        force += np.sum(pressed * sum(parts))
+        area += np.sum(pressed * (end**2 - begin**2)) / 2
+    share = 2 * np.pi / count * np.cos(tilt)
+    return share * force, share * area
+
+
+@pytest.mark.parametrize("lean", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("tilt_deg", "displacement", "curvature"),
+    [
+        (3, 0.3, [[1 / 600, 0], [0, 1 / 150]]),
+        (3, 0.9, [[1 / 600, 0], [0, 1 / 150]]),  # past the disc's middle
+        (3, 2.0, [[1 / 600, 0], [0, 1 / 150]]),  # the whole disc
+        (5, 1.5, [[1 / 100, 1 / 300], [1 / 300, 1 / 150]]),
+        (13, 0.2, [[1 / 110, -1 / 260], [-1 / 260, 1 / 85]]),
+        (4, 0.9, [[1 / 200, 1 / 250], [1 / 250, -1 / 400]]),  # a saddle
+        (4, 0.9, [[-1 / 300, 0], [0, -1 / 300]]),
+    ],
+)
+def test_force_and_area_on_a_curved_part(tilt_deg, displacement, curvature, lean):
+    panels = 2 if np.linalg.eigvalsh(curvature).min() < 0 else 1
+    setting, bend = process(tilt_deg, displacement), jnp.asarray(curvature)
+    got = force_and_area(setting, disc(), bend, lean, panels)
+    force, area = by_rays(tilt_deg, displacement, curvature, lean)
+    assert_close(got[0], 0.3 * force, rtol=1e-6)
+    assert_close(got[1], area, rtol=1e-6)
+
+
+def test_the_area_has_no_corners_where_rows_come_to_reach_across():
+    bend = jnp.asarray([[1 / 600, 1 / 900], [1 / 900, 1 / 150]])
+
+    @jax.jit
+    @jax.vmap
+    def slopes(displacement):
+        def areas(e):
+            setting = process(3.0, e)
+            _, area = pressure.force_and_area(setting, disc(), bend)
+            return jnp.stack([area, pressure.patch(setting, disc(), bend).contact_area])
+
+        return jax.jacfwd(areas)(displacement)
+
+    found = slopes(jnp.linspace(0.3, 1.2, 901))
+    jumps = np.max(np.abs(np.diff(found, axis=0)), axis=0) / np.mean(found, axis=0)
+    # what the rows of the patch do shows that this can tell
+    assert jumps[0] < 0.01 < 0.1 < jumps[1]
+
+
 def test_full_contact_on_constant_curvature():
     """Winkler: F = k (pi R^2 d - pi R^4 (k_x + k_y) / 8), d the depth at the middle."""
     radius, kx, ky = 9.0, -0.004, -0.002
@@ -234,6 +322,7 @@ def outcomes(x):
             jnp.sum(nodes.pressure * nodes.area**2),
             pressure.flat_force(tool.radius, tool.foundation, x[0], x[1]),
             pressure.flat_area(tool.radius, x[0], x[1]),
+            *pressure.force_and_area(setting, tool, x[2] * jnp.eye(2), panels=2),
             nodes.contact_area,
             jnp.sum(nodes.offsets**2),
             pressure.effective_diameter(tool.radius, x[0], x[1]),
@@ -257,7 +346,7 @@ def test_gradients(tilt_deg, displacement, bend):
     for i in range(2):
         h = np.eye(3)[i] * 1e-6 * x[i]
         slope = (outcomes(x + h) - outcomes(x - h)) / (2 * h[i])
-        assert_close(got[:4, i], slope[:4], rtol=2e-5, atol=1e-6)
+        assert_close(got[:6, i], slope[:6], rtol=2e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
