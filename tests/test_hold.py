@@ -11,7 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close, assert_gradient
-from polishopt.contact.pressure import most_displacement, patch, shear_margin
+from polishopt.contact.pressure import (
+    force_and_area,
+    most_displacement,
+    patch,
+    shear_margin,
+)
 from polishopt.files.assemble import job
 from polishopt.files.config import load
 from polishopt.hold import held_displacement, loop_bend, schedule
@@ -61,20 +66,20 @@ def felt(hold="force"):
     return process, setup
 
 
-def pressed(process, setup, bend, displacement):
-    s = setup.sampling
-    process = dataclasses.replace(process, displacement=displacement)
-    return patch(process, setup.tool, bend, setup.side, s.rows, s.columns, setup.panels)
-
-
 @eqx.filter_jit
 def contacts(process, setup, bends):
-    """Force, mean pressure and displacement at each bend."""
+    """Force, mean pressure and displacement at each bend; and the force by a patch."""
 
     def at(bend):
         e = held_displacement(process, setup, bend)
-        nodes = pressed(process, setup, bend, e)
-        return nodes.force, nodes.force / nodes.contact_area, e
+        given = (
+            dataclasses.replace(process, displacement=e),
+            setup.tool,
+            bend,
+            setup.side,
+        )
+        force, area = force_and_area(*given, setup.panels)
+        return force, force / area, e, patch(*given, 64, 4, setup.panels).force
 
     return jax.vmap(at)(bends)
 
@@ -82,9 +87,10 @@ def contacts(process, setup, bends):
 @pytest.mark.parametrize("hold", ["force", "pressure"])
 def test_every_contact_is_as_on_a_plane(hold):
     process, setup = felt(hold)
-    force, pressure, e = contacts(process, setup, jnp.asarray(BENDS))
+    force, pressure, e, again = contacts(process, setup, jnp.asarray(BENDS))
     held = force if hold == "force" else pressure
     assert_close(held, held[0], rtol=1e-9)
+    assert_close(again, force, rtol=1e-5)
     assert_close(e[0], process.displacement)
     # what bends away from the disc has to be pressed in deeper for the same force
     if hold == "force":
@@ -95,7 +101,7 @@ def test_every_contact_is_as_on_a_plane(hold):
 def test_displacement_ends_at_the_rigid_body_and_at_the_adhesive():
     process, setup = felt()
     bends = jnp.asarray(BENDS)
-    _, _, free = contacts(process, setup, bends)
+    _, _, free, _ = contacts(process, setup, bends)
     most = 0.5 * (free.max() + free.min())
     body = setup.tool.body_recess + most - most_displacement(process, setup.tool)
     low = eqx.tree_at(lambda s: s.tool.body_recess, setup, body)
@@ -147,8 +153,12 @@ def along_the_path(process, setup, s):
     )
     plain = resolved(setup.surface, setup.guide, process, radius, s, *lean)
 
+    def force(e, bend):
+        pressed = dataclasses.replace(process, displacement=e)
+        return force_and_area(pressed, setup.tool, bend, setup.side, setup.panels)[0]
+
     def at(xy, f, b, e):
-        return pressed(process, setup, curvature(setup.surface, xy, f, b), e).force
+        return force(e, curvature(setup.surface, xy, f, b))
 
     e = jax.vmap(held)(s)
     forces = jax.vmap(at)(path.xy, path.feed_direction, path.side, e)
@@ -156,7 +166,7 @@ def along_the_path(process, setup, s):
     exact = jax.vmap(
         lambda s: held_displacement(process, setup, loop_bend(process, setup, s))
     )(s)
-    flat = pressed(process, setup, jnp.zeros((2, 2)), process.displacement).force
+    flat = force(process.displacement, jnp.zeros((2, 2)))
     return forces, e, deeper, exact, flat
 
 
