@@ -16,7 +16,7 @@ from polishopt.files.config import load
 from polishopt.optimize.basins import basins
 from polishopt.optimize.certificate import Status
 from polishopt.optimize.starts import spread_starts
-from polishopt.optimize.tune import AIM, Verdict, excesses, misses
+from polishopt.optimize.tune import AIM, HIT, Verdict, excesses, misses
 from polishopt.texture.scratches import Population
 from scipy.optimize import minimize
 
@@ -125,6 +125,22 @@ def test_a_goal_multiplier_is_what_moving_that_goal_costs(solved):
             times.append(float(again.outcome.time))
         slope = (times[1] - times[0]) / 0.1
         assert_close(answer.goal_multipliers[name], slope, rtol=2e-2)
+
+
+def alike(process: Process, setup: Setup) -> Outcome:
+    """The same with a kurtosis that all but says what the skewness says."""
+    found = toy(process, setup)
+    apart = 2e-4 * (process.trochoid_radius - 5)
+    return eqx.tree_at(lambda o: o.Sku, found, 3.6 - 2 * (found.Ssk + 0.75) + apart)
+
+
+def test_two_goals_that_say_the_same_do_not_stand_in_the_way_of_the_least_time():
+    """Both can be met exactly with a radius of 5 mm only, and as well as asked with any."""
+    target = {"Ssk": Goal(-0.75, 0.05), "Sku": Goal(3.6, 0.1)}
+    answer = tune(SETUP, START, BETWEEN, target, chain=alike, starts=8)
+    assert int(answer.verdict) == Verdict.SOLVED
+    assert all(abs(float(miss)) <= HIT for miss in answer.misses.values())
+    assert_close(answer.process.trochoid_radius, BETWEEN["trochoid_radius"][0], rtol=1e-6)
 
 
 def test_no_better_point_is_found_by_slsqp(solved):
