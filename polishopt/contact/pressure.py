@@ -335,22 +335,22 @@ def force_and_area(
 
     Source: own derivation; on a plane `flat_force` and `flat_area`.
     """
-    nodes, weights = _gauss(LOAD_ROWS)
-    angles, heights = [], []
-    for side in (-1.0, 1.0):
-        edge = _edge_angle(process, tool.radius, curvature, lean * side)
-        widest = jnp.minimum(edge, 0.5 * jnp.pi)
-        lifts = jnp.minimum(edge, jnp.pi - edge)
-        for begin, end in ((jnp.zeros_like(edge), lifts), (lifts, widest)):
-            angles.append(side * (begin + (end - begin) * nodes))
-            heights.append((end - begin) * weights)
-    angle, height = jnp.concatenate(angles), jnp.concatenate(heights)
+    real = process.tilt.dtype
+    nodes, weights = (jnp.asarray(w, real)[None, None] for w in _gauss(LOAD_ROWS))
+    sides = jnp.asarray([-1.0, 1.0], real)
+    edge = _edge_angle(process, tool.radius, curvature, lean * sides)
+    lifts = jnp.minimum(edge, jnp.pi - edge)
+    widest = jnp.minimum(edge, 0.5 * jnp.pi)
+    begins = jnp.stack([jnp.zeros_like(edge), lifts])[..., None]
+    widths = jnp.stack([lifts, widest - lifts])[..., None]
+    angle = (sides[None, :, None] * (begins + widths * nodes)).reshape(-1)
+    height = (widths * weights).reshape(-1)
     found = _nodes(angle, height, process, tool, curvature, lean, LOAD_COLUMNS, panels)
     return found.force, found.contact_area
 
 
-def _edge_angle(process, radius, curvature, side) -> Scalar:
-    """Rim angle from the contact point at which the contact ends, on one side [rad].
+def _edge_angle(process, radius, curvature, side) -> Float[Array, " sides"]:
+    """Rim angles from the contact point at which the contact ends, on either side [rad].
 
     Depth along the rim is zero at a root of a quartic in u = cot(angle / 2), which without
     twist is a quadratic in its square. From that root, or near the far end of the rim from
