@@ -166,7 +166,7 @@ def test_the_margin_is_known_where_the_part_presses_hardest():
     @jax.jit
     def force(radius, stiffening):
         tool = dataclasses.replace(JOB.setup.tool, radius=radius, stiffening=stiffening)
-        return patch(process, tool, BENT[1], JOB.setup.side, 3, 2, JOB.setup.panels).force
+        return patch(process, tool, BENT[1], JOB.setup.side, 64, 4, JOB.setup.panels).force
 
     radius, step = float(JOB.setup.tool.radius), 1e-4
     by_radius = (force(radius + step, 0.0) - force(radius - step, 0.0)) / (2 * step)

@@ -315,7 +315,9 @@ def test_tunings_rank_as_starts_do(chosen):
         sorted(far, key=lambda k: float(f"{far[k]:.6g}"))
     )
     missed = found.tunings["True 9"]
-    assert distance(missed) == math.hypot(*map(float, missed.misses.values()))
+    assert distance(missed) == pytest.approx(
+        math.hypot(*map(float, missed.misses.values())), rel=1e-12
+    )
 
     def other(like, verdict, status, miss=0.0, **excesses):
         over = {name: jnp.asarray(value) for name, value in excesses.items()}
