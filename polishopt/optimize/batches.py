@@ -62,16 +62,16 @@ def looked_at(
         _, columns, found = slopes(parts, x, jnp.ones_like(point))
         return found, columns
 
-    look = jax.jit(look)  # traced but once
+    once: Any = jax.jit(look)  # traced but once
 
     def one(place):
         skipped, *rest = place
-        shapes = look.eval_shape(*rest)
+        shapes = once.eval_shape(*rest)
 
         def nothing(*_):
             return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
 
-        return jax.lax.cond(skipped, nothing, look, *rest)
+        return jax.lax.cond(skipped, nothing, once, *rest)
 
     places = (skipped, x, *given)
     if jax.default_backend() == "cpu":
