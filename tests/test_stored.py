@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array, Float
 from polishopt import stored as module
-from polishopt.stored import keep_in, stored
+from polishopt.stored import keep_in, remembered, seldom, stored
 
 
 class Line(eqx.Module):
@@ -177,3 +177,39 @@ def test_linear_algebra_in_a_new_process(kept):
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert ran.stdout.strip() == "[0.5 0.5 0.5] []", ran.stderr
+
+
+def test_what_is_seldom_run_has_a_program_of_its_own(kept):
+    quick, slow = seldom(along), stored(along)
+    assert (quick.level, slow.level) == (0, 1)
+    np.testing.assert_array_equal(
+        quick(LINE, X, power=2).value, slow(LINE, X, power=2).value
+    )
+    assert len(list(kept.iterdir())) == 2
+
+
+@pytest.mark.parametrize(("flags", "level"), [("", 1), (f"--{module.LEVEL}=0", 0)])
+def test_no_program_is_optimised_more_than_the_environment_asks_for(
+    flags, level, monkeypatch
+):
+    monkeypatch.setenv("XLA_FLAGS", flags)
+    assert module._plain.__wrapped__(1)[module.LEVEL] == level
+    assert module._plain.__wrapped__(0)[module.LEVEL] == 0
+
+
+def test_numbers_are_kept_and_made_again_where_they_cannot_be_read(kept):
+    made = []
+
+    def make():
+        made.append(1)
+        return np.arange(3.0)
+
+    for _ in range(2):
+        np.testing.assert_array_equal(remembered("three", ["1"], make), [0, 1, 2])
+    assert len(made) == 1
+    remembered("three", ["2"], make)  # made by another version
+    assert len(made) == 2
+    for file in kept.iterdir():
+        file.write_bytes(b"cut off")
+    np.testing.assert_array_equal(remembered("three", ["1"], make), [0, 1, 2])
+    assert len(made) == 3
