@@ -159,7 +159,9 @@ def _cannot(sentences: list[str]) -> int:
     return int(Verdict.INFEASIBLE)
 
 
-def _meanwhile(say: Callable[[str], None], work: Callable[[], None]):
+def _meanwhile(
+    say: Callable[[str], None], work: Callable[[], None]
+) -> Callable[[str], None]:
     """The same voice; with its first word, work begins in the background.
 
     Until a search says something, it compiles, and nothing should be in its way.
