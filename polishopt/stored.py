@@ -79,7 +79,8 @@ def stored(f: Callable[Given, Result]) -> "Stored[Given, Result]":
 def seldom(f: Callable[Given, Result]) -> "Stored[Given, Result]":
     """The same for what is run a few times only, or does next to nothing.
 
-    Its program takes half as long to compile, and some three times as long to run.
+    Its program takes half as long to compile, and some three times as long to run; one with
+    long loops over single numbers may take far longer.
 
     Args:
         f: As in `stored`.

@@ -241,18 +241,18 @@ def patch(
 
     Source: own derivation; flat case as `flat_force`.
     """
-    nodes, weights = _gauss(rows)
     half_angle = _rim_angle(process, tool.radius, curvature)
+    nodes, weights = _gauss(rows, half_angle)
     angle, height = half_angle * nodes, half_angle * weights
     angle = jnp.concatenate([-angle[::-1], angle])
     height = jnp.concatenate([height[::-1], height])
     return _nodes(angle, height, process, tool, curvature, lean, columns, panels)
 
 
-def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights of Gauss and Legendre from 0 to 1."""
+def _gauss(count: int, like: Array) -> tuple[Array, Array]:
+    """Nodes and weights of Gauss and Legendre from 0 to 1, in the precision of `like`."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
-    return (nodes + 1.0) / 2, weights / 2
+    return jnp.asarray((nodes + 1.0) / 2, like.dtype), jnp.asarray(weights / 2, like.dtype)
 
 
 def _nodes(
@@ -295,7 +295,7 @@ def _nodes(
         second = jnp.where(concave, below / jnp.where(concave, -bend, 1.0), far)
         ends.append((jnp.clip(second, first, far), far))
 
-    nodes, weights = (jnp.asarray(w, eta.dtype)[None, :] for w in _gauss(columns))
+    nodes, weights = (w[None, :] for w in _gauss(columns, eta))
     x = jnp.concatenate([a[:, None] + (b - a)[:, None] * nodes for a, b in ends], axis=1)
     width = jnp.concatenate([(b - a)[:, None] * weights for a, b in ends], axis=1)
     depth = start[:, None] - steep[:, None] * x - 0.5 * bend * x**2
@@ -335,9 +335,8 @@ def force_and_area(
 
     Source: own derivation; on a plane `flat_force` and `flat_area`.
     """
-    real = process.tilt.dtype
-    nodes, weights = (jnp.asarray(w, real)[None, None] for w in _gauss(LOAD_ROWS))
-    sides = jnp.asarray([-1.0, 1.0], real)
+    nodes, weights = (w[None, None, :] for w in _gauss(LOAD_ROWS, process.tilt))
+    sides = jnp.asarray([-1.0, 1.0], process.tilt.dtype)
     edge = _edge_angle(process, tool.radius, curvature, lean * sides)
     lifts = jnp.minimum(edge, jnp.pi - edge)
     widest = jnp.minimum(edge, 0.5 * jnp.pi)
@@ -351,6 +350,8 @@ def force_and_area(
 
 def _edge_angle(process, radius, curvature, side) -> Float[Array, " sides"]:
     """Rim angles from the contact point at which the contact ends, on either side [rad].
+
+    `side` is the sign of eta there, times the lean.
 
     Depth along the rim is zero at a root of a quartic in u = cot(angle / 2), which without
     twist is a quadratic in its square. From that root, or near the far end of the rim from
