@@ -15,6 +15,7 @@ from pathlib import Path
 import jax
 import numpy as np
 from bench_tune import CONFIGS, FEASIBLE, HIT, Once, model, on_either_side
+from polishopt.compiler import share_work
 from polishopt.files.assemble import job as assemble
 from polishopt.files.config import load
 from polishopt.optimize.starts import spread_starts
@@ -22,6 +23,7 @@ from polishopt.optimize.tune import tune
 from scipy.optimize import minimize
 
 
+share_work()
 jax.config.update("jax_enable_x64", True)
 OPTIONS = {"maxiter": 200, "ftol": 1e-12}
 RUNS = 3

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from bench_differences import OPTIONS
 from bench_tune import CONFIGS, FEASIBLE, HIT, Once, on_either_side
+from polishopt.compiler import share_work
 from polishopt.files.assemble import plan_job
 from polishopt.files.config import load
 from polishopt.optimize.goals import Goal, all_excesses, all_misses, applied, setting
@@ -27,6 +28,7 @@ from polishopt.plan import follow
 from scipy.optimize import minimize
 
 
+share_work()
 jax.config.update("jax_enable_x64", True)
 
 BOUNDS = {

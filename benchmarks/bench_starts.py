@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from bench_tune import CONFIGS
 from polishopt.chain import polish
+from polishopt.compiler import share_work
 from polishopt.files.assemble import job as assemble
 from polishopt.files.config import load
 from polishopt.optimize.batches import in_batches
@@ -31,6 +32,7 @@ from polishopt.optimize.tune import AIM, HIT, TOGETHER, TOLERANCE, tune
 from polishopt.parts import as_scalar
 
 
+share_work()
 jax.config.update("jax_enable_x64", True)
 STARTS = 64
 

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from polishopt.chain import polish
+from polishopt.compiler import share_work
 from polishopt.files.assemble import job as assemble
 from polishopt.files.config import load
 from polishopt.optimize.starts import spread_starts
@@ -31,6 +32,7 @@ from polishopt.optimize.tune import (
 from scipy.optimize import minimize
 
 
+share_work()
 jax.config.update("jax_enable_x64", True)
 
 CONFIGS = Path(__file__).parents[1] / "configs"

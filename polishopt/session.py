@@ -268,7 +268,9 @@ def prepare(cache: bool = True) -> None:
     import jax
 
     from . import stored
+    from .compiler import share_work
 
+    share_work()
     jax.config.update("jax_enable_x64", True)
     # a third of the time that tracing takes: nobody reads where an operation came
     # from, and the many objects that tracing makes are hardly ever garbage

@@ -14,7 +14,6 @@ import io
 import os
 import pickle
 import platform
-import re
 import threading
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -29,18 +28,11 @@ import numpy as np
 from jax.core import Tracer
 from jax.experimental import serialize_executable
 
+from .compiler import options
+
 
 PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
 CPU_INFO = Path("/proc/cpuinfo")
-LEVEL = "xla_backend_optimization_level"
-# What else XLA is told so that it compiles fast rather than makes fast code: a search
-# spends a third of the time on compilation then, and as long as before on its work.
-PLAIN = {
-    "xla_llvm_disable_expensive_passes": True,
-    "xla_cpu_use_fusion_emitters": False,
-    "xla_cpu_enable_concurrency_optimized_scheduler": False,
-}
-
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
@@ -129,7 +121,7 @@ class Stored(Generic[Given, Result]):
         self.level = level
         # options are for the outermost program only
         self.inside = jit(f)
-        self.jitted = functools.cache(lambda: jit(f, compiler_options=_plain(level)))
+        self.jitted = functools.cache(lambda: jit(f, compiler_options=options(None, level)))
         self.made: dict[Hashable, _Made] = {}
         self.lock = threading.Lock()
         functools.update_wrapper(self, f)
@@ -220,12 +212,14 @@ class Stored(Generic[Given, Result]):
         # by this name JAX's own cache never has it: what was read from there cannot be
         # written again
         flat.__name__ = key
-        lowered = jax.jit(flat, compiler_options=_plain(self.level)).lower(arrays)
+        traced = jax.jit(flat).trace(arrays)
+        told = options(traced.jaxpr.jaxpr, self.level)
+        lowered = traced.lower()
         shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in lowered.out_info]
         outline = _Program(list, shape[0], shape[1], shapes)
 
         def work() -> _Program:
-            compiled = lowered.compile()
+            compiled = lowered.compile(compiler_options=told)
             # a cache must not fail: what cannot be kept is compiled again next time
             with suppress(Exception):
                 if path is not None:
@@ -292,24 +286,6 @@ def _tried(run: Callable[..., Any], anew: Callable[[], _Program]) -> Callable[..
         return good[0](arrays)
 
     return carefully
-
-
-@functools.cache
-def _plain(level: int) -> dict[str, Any]:
-    """Those of the options in `PLAIN` that the compiler at hand knows.
-
-    Args:
-        level: How much it does for the speed of a program; less, if the environment asks
-            for less of all programs.
-    """
-    asked = re.search(rf"--{LEVEL}=(\d)", os.environ.get("XLA_FLAGS", ""))
-    level = min(level, int(asked[1])) if asked else level
-    known = {}
-    for name, value in {LEVEL: level, **PLAIN}.items():
-        with suppress(jax.errors.JaxRuntimeError, ValueError):
-            jax.jit(lambda: 0, compiler_options={name: value}).lower().compile()
-            known[name] = value
-    return known
 
 
 def _is_array(leaf: Any) -> bool:

@@ -10,7 +10,7 @@ import pytest
 # Modules from the lowest floor to the highest; each may import what stands before it.
 # All of `files` is one place: its modules read each other in any order.
 FLOORS = """
-units stored parts batched
+units compiler stored parts batched
 path.surface path.asphere path.nurbs path.soundness path.even
 path.corner path.guide path.polyline path.involute path.families path.revolution
 path.trochoid path.toolpath path

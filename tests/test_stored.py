@@ -188,15 +188,6 @@ def test_what_is_seldom_run_has_a_program_of_its_own(kept):
     assert len(list(kept.iterdir())) == 2
 
 
-@pytest.mark.parametrize(("flags", "level"), [("", 1), (f"--{module.LEVEL}=0", 0)])
-def test_no_program_is_optimised_more_than_the_environment_asks_for(
-    flags, level, monkeypatch
-):
-    monkeypatch.setenv("XLA_FLAGS", flags)
-    assert module._plain.__wrapped__(1)[module.LEVEL] == level
-    assert module._plain.__wrapped__(0)[module.LEVEL] == 0
-
-
 def test_numbers_are_kept_and_made_again_where_they_cannot_be_read(kept):
     made = []
 
