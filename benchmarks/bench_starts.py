@@ -34,7 +34,13 @@ from polishopt.parts import as_scalar
 
 share_work()
 jax.config.update("jax_enable_x64", True)
-STARTS = 64
+STARTS, TURNS = 64, 5
+
+
+def timed(work, *given):
+    """What comes out, and how long it took."""
+    began = time.perf_counter()
+    return work(*given), time.perf_counter() - began
 
 
 def ended(solution):
@@ -63,8 +69,8 @@ def compare(path, quick):
             for side in (0, 1)
         )
 
-        def some(part):
-            return searched(part, lower, upper, stage, TOLERANCE)
+        def some(part, vacant=None):
+            return searched(part, lower, upper, stage, TOLERANCE, vacant)
 
         return some
 
@@ -80,9 +86,7 @@ def compare(path, quick):
 
     few = {name: column[:TOGETHER] for name, column in places.items()}
     batched(few)
-    began = time.perf_counter()
-    near = batched(places)
-    took = time.perf_counter() - began
+    near, took = timed(batched, places)
     missed = np.max(np.abs(np.asarray(near.residual[0])), axis=1)
     hit = (missed <= HIT - AIM) & (np.asarray(near.status) == Status.SOLVED)
     second = ""
@@ -93,16 +97,20 @@ def compare(path, quick):
     if quick:
         return
     search(1, reach)({name: x[:1] for name, x in places.items()})
-    began = time.perf_counter()
-    alone = one_by_one(places)
-    longer = time.perf_counter() - began
+    alone, pairs = None, []
+    for _ in range(TURNS):
+        alone, longer = timed(one_by_one, places)
+        pairs.append((longer, timed(batched, places)[1]))
+    longer, took = np.median(pairs, axis=0)
+    ratios = sorted(slow / fast for slow, fast in pairs)
     apart = max(
         np.max(np.abs(np.asarray(near.x[n]) - np.asarray(alone.x[n])) / (high - low))
         for n, (low, high) in job.between.items()
     )
     print(
-        f"   one by one {ended(alone)}; {longer:.1f} s, {longer / took:.2f} times as long; "
-        f"answers {apart:.0e} of the box apart at most",
+        f"   one by one {ended(alone)}; {longer:.1f} s beside {took:.1f} s, "
+        f"{ratios[0]:.2f} to {ratios[-1]:.2f}, median {np.median(ratios):.2f} times as "
+        f"long; answers {apart:.0e} of the box apart at most",
         flush=True,
     )
 

@@ -151,6 +151,21 @@ class Stored(Generic[Given, Result]):
             return eqx.filter_eval_shape(self.inside, *args, **kwargs)
         return made.outline()
 
+    def meanwhile(self, *args, **kwargs) -> None:
+        """As `ahead`, but traces in the background too; whoever calls meanwhile waits.
+
+        Args:
+            args: As in `ahead`.
+            kwargs: As in `ahead`.
+        """
+
+        def work():
+            # whatever is wrong will be said by the call
+            with suppress(Exception):
+                self.ahead(*args, **kwargs)
+
+        threading.Thread(target=work, daemon=True).start()
+
     def _find(self, args, kwargs) -> tuple[_Made | None, list[Any]]:
         """The program for a call and the arrays it takes; None where it has no name."""
         arrays, fixed = eqx.partition((args, kwargs), _is_array)

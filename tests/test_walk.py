@@ -1,5 +1,6 @@
 """Walk and batches: the same search, run from outside; and what a search learns."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -105,13 +106,54 @@ def test_a_search_that_meets_nan_does_not_stop_the_others():
 def test_no_batch_begins_after_one_has_failed():
     begun = []
 
-    def search(places):
+    def search(places, vacant):
         begun.append(places)
         raise RuntimeError("lost")
 
     with pytest.raises(RuntimeError, match="lost"):
         in_batches(search, {"a": np.arange(32.0)}, 2)
     assert len(begun) <= 2
+
+
+@pytest.mark.parametrize(
+    ("count", "size", "batches"),
+    [(1, 3, [1]), (2, 8, [1, 1]), (8, 8, [4, 4]), (7, 3, [3, 2, 2]), (6, 1, [1] * 6)],
+)
+def test_room_that_is_left_in_a_batch_is_vacant(count, size, batches):
+    """The last ones may have less to do, and there are two for two threads."""
+    met = {}
+    one = everywhere(LOWER, 1)
+    found = walked(look, one, one, everywhere(UPPER, 1), Rules(1e-8, 1, 1))
+
+    def search(places, extra, vacant):
+        assert places["a"].shape == extra.shape == vacant.shape == (size,)
+        assert not np.any(np.diff(vacant.astype(int)) < 0)
+        met[int(places["a"][0])] = int(np.sum(~vacant))
+        x = {"a": places["a"], "twice": 2 * extra}
+        return eqx.tree_at(lambda solution: solution.x, found, x)
+
+    a = np.arange(float(count))
+    out = in_batches(search, {"a": a}, size, None, a)
+    assert [met[i] for i in sorted(met)] == batches
+    assert_close(out.x["a"], a)
+    assert_close(out.x["twice"], 2 * a)
+
+
+def test_a_vacant_place_costs_nothing_and_changes_nothing():
+    looked = []
+
+    def told(x, skipped):
+        looked.append(np.asarray(skipped))
+        return look(x, skipped)
+
+    starts, rules = places(4, seed=1), Rules(1e-8, 20, 40)
+    low, high = everywhere(LOWER, 4), everywhere(UPPER, 4)
+    vacant = np.array([False, False, True, True])
+    some = walked(told, starts, low, high, rules, vacant)
+    assert all(skipped[2:].all() for skipped in looked)
+    full = walked(look, starts, low, high, rules)
+    for name in LOWER:
+        np.testing.assert_array_equal(some.x[name][:2], full.x[name][:2])
 
 
 @pytest.mark.parametrize("seed", range(5))

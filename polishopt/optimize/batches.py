@@ -2,9 +2,9 @@
 
 What an optimiser does between two evaluations is the same small program for all problems
 of a size, while the slopes of a model of the process may take long to compile. So the two
-are programs of their own, compiled at the same time, which take turns. A batch ends with
-its slowest search, so small batches wait less; and two of them run at once, since one alone
-does not keep two cores busy.
+are programs of their own, compiled at the same time, which take turns. Calling them from
+the host takes as long for one search as for eight, so batches share that; and two of them
+run at once, since one does not keep two cores busy.
 """
 
 from collections.abc import Callable, Mapping
@@ -26,6 +26,9 @@ from .kept import Kept
 from .values import Values
 from .walk import Rules, Walk, ended, over, problem_of, proposed, set_out, taken_in
 
+
+# Batches that run at the same time.
+AT_ONCE = 2
 
 Places = Mapping[str, Float[Array | np.ndarray, " starts"]]
 
@@ -85,6 +88,7 @@ def walked(
     lower: PyTree,
     upper: PyTree,
     rules: Rules,
+    vacant: Bool[np.ndarray, " starts"] | None = None,
 ) -> Solution:
     """Where searches from several places end, run side by side.
 
@@ -94,12 +98,16 @@ def walked(
         lower: Lower bounds, a pytree like `places`.
         upper: Upper bounds.
         rules: When a search is over.
+        vacant: Places where nothing is searched, whose answers mean nothing; None for
+            none of them.
     """
-    count = len(jax.tree.leaves(places)[0])
-    parts, columns = look(places, np.zeros(count, bool))
+    if vacant is None:
+        vacant = np.zeros(len(jax.tree.leaves(places)[0]), bool)
+    parts, columns = look(places, vacant)
     walk = _set_out(parts, places, lower, upper)
     while True:
         walk, done = _turn(walk, parts, columns, lower, upper, rules)
+        done = np.asarray(done) | vacant
         if np.all(done):
             return _ended(walk, parts, lower, upper, rules)
         parts, columns = look(walk.trial.y, done)
@@ -172,21 +180,22 @@ def in_batches(
     *what: Any,
     **more: np.ndarray,
 ) -> Solution:
-    """Searches from all places, `size` of them at a time.
+    """Searches from all places, up to `size` of them at a time.
 
-    Which places make up a batch depends on nothing but their order.
+    Which places make up a batch depends on nothing but how many there are.
 
     Args:
-        search: From several places, side by side, each an entry of `places` and of `what`.
+        search: From `size` places, side by side, each an entry of `places` and of `what`;
+            last it is told which of them are vacant.
         places: Where searches start, by setting.
-        size: How many make up a batch.
+        size: How many a batch has room for.
         kept: Finished batches, which are not run again; new ones are added.
         what: More that differs from search to search: pytrees with an axis of starts.
         more: What is kept with them, and part of what they are, one entry a search.
     """
     count = len(next(iter(places.values())))
-    # the last batch is filled up with its last place
-    index = np.minimum(np.arange(-(-count // size) * size), count - 1).reshape(-1, size)
+    least = min(AT_ONCE, count) if jax.default_backend() == "cpu" else 1
+    index = np.array_split(np.arange(count), max(-(-count // size), least))
 
     def given(chosen):
         return jax.tree.map(lambda x: x[chosen], (dict(places), *what))
@@ -194,7 +203,7 @@ def in_batches(
     known = [{name: values[chosen] for name, values in more.items()} for chosen in index]
     names, parts = [], [None] * len(index)
     if kept:
-        names = [kept.name(given(c), k) for c, k in zip(index, known, strict=True)]
+        names = [kept.name(given(c), k, size) for c, k in zip(index, known, strict=True)]
         parts = [kept.get(name) for name in names]
 
     halted = Event()
@@ -203,7 +212,11 @@ def in_batches(
         if halted.is_set():
             return None
         try:
-            found = jax.device_get(search(*given(index[i])))
+            # room that is left is filled with the last place, and vacant
+            slots = np.arange(size)
+            chosen = index[i][np.minimum(slots, len(index[i]) - 1)]
+            found = jax.device_get(search(*given(chosen), slots >= len(index[i])))
+            found = jax.tree.map(lambda x: x[: len(index[i])], found)
             if kept:
                 kept.put(names[i], found, **known[i])
         except BaseException:
@@ -212,7 +225,7 @@ def in_batches(
         return found
 
     left = [i for i, part in enumerate(parts) if part is None]
-    pool = ThreadPoolExecutor(2)
+    pool = ThreadPoolExecutor(AT_ONCE)
     try:
         for i, part in zip(left, pool.map(run, left), strict=True):
             parts[i] = part
@@ -220,4 +233,4 @@ def in_batches(
         # who interrupts this does not want to wait for searches under way
         halted.set()
         pool.shutdown(wait=False, cancel_futures=True)
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)

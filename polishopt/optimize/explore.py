@@ -152,10 +152,10 @@ def _looked_at(
             inequality={
                 "limits": all_excesses(outcome, job.limits),
                 "level": jnp.where(ask.capped > 0, found - level, -1.0),
-                "goals": [
+                "goals": tuple(
                     jnp.where(ask.near > 0, each - level, -1.0)
                     for each in (*bands.values(), *off)
-                ],
+                ),
             },
             equality=jnp.where(ask.held > 0, found - ask.at, 0.0),
         )
@@ -163,7 +163,9 @@ def _looked_at(
     return looked_at(values, x, skipped, questions)
 
 
-def _search(places, questions: Question, job: _Job, names, tolerance, chain) -> Solution:
+def _search(
+    places, questions: Question, vacant, job: _Job, names, tolerance, chain
+) -> Solution:
     """One search from each place, side by side."""
 
     def bounded(bounds, level):
@@ -177,7 +179,8 @@ def _search(places, questions: Question, job: _Job, names, tolerance, chain) -> 
         return _looked_at(x, skipped, questions, job, names, chain)
 
     places = jax.tree.map(jnp.clip, places, lower, upper)
-    return walked(look, places, lower, upper, Rules(tolerance, ROUNDS, TRIALS))
+    rules = Rules(tolerance, ROUNDS, TRIALS)
+    return walked(look, places, lower, upper, rules, vacant)
 
 
 class Explorer:
@@ -335,10 +338,10 @@ class Explorer:
             )
         )
 
-        def some(part, questions):
+        def some(part, questions, vacant):
             part, questions = jax.tree.map(jnp.asarray, (part, questions))
             return _search(
-                part, questions, self.job, self.names, self.tolerance, self.chain
+                part, questions, vacant, self.job, self.names, self.tolerance, self.chain
             )
 
         arrays = {name: np.asarray(column) for name, column in places.items()}

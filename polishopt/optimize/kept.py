@@ -118,6 +118,8 @@ def flat(solution: Solution) -> dict[str, np.ndarray]:
             return [shape(value, f"{place} {i}") for i, value in enumerate(node)]
         if node is None:
             return None
+        if isinstance(node, list):
+            raise TypeError(f"{place.strip()} is a list; what is kept has tuples.")
         arrays[place.strip()] = np.asarray(node)
         return place.strip()
 

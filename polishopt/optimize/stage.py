@@ -14,7 +14,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..chain import Outcome
 from ..parts import Process, Scalar
@@ -116,7 +116,12 @@ def _looked_at(x, skipped, stage: Stage) -> tuple[Any, Any]:
 
 
 def searched(
-    places: Places, lower: Places, upper: Places, stage: Stage, tolerance: float
+    places: Places,
+    lower: Places,
+    upper: Places,
+    stage: Stage,
+    tolerance: float,
+    vacant: Bool[np.ndarray, " starts"] | None = None,
 ) -> Solution:
     """Where searches from several places end, run side by side.
 
@@ -126,12 +131,14 @@ def searched(
         upper: Upper bounds.
         stage: What they look for.
         tolerance: Projected gradient at which a search ends, in tolerances of the goals.
+        vacant: Places where nothing is searched; None for none of them.
     """
 
     def look(x, skipped):
         return _looked_at(x, skipped, stage)
 
-    return walked(look, places, lower, upper, _rules(tolerance, len(places)))
+    rules = _rules(tolerance, len(places))
+    return walked(look, places, lower, upper, rules, vacant)
 
 
 def prepare(lower: Places, upper: Places, stage: Stage, tolerance: float) -> None:

@@ -58,7 +58,7 @@ KEPT = 1e-6
 # The search ends at a projected gradient this small, in units of tolerances.
 TOLERANCE = 1e-6
 # Searches side by side in one batch, and answers from which the cheapest is sought.
-TOGETHER, CHEAPEST = 4, 8
+TOGETHER, CHEAPEST = 8, 8
 
 
 class Verdict(enum.IntEnum):
@@ -254,9 +254,7 @@ def tune(
     reach = dataclasses.replace(reach, unit=unit)
     hold = dataclasses.replace(reach, weight=jnp.ones_like(unit))
     exact = dataclasses.replace(reach, slack=zero)
-    # not needed before the end, so not in the way of what is
     outcome = seldom(chain)
-    outcome.ahead(begin, setup)
     done = None
     if store is not None:
         done = Kept(store, lower, upper, reach, tolerance)
@@ -264,13 +262,15 @@ def tune(
             say(strange)
 
     def search(places, stage, numbers, number):
-        def some(part):
-            return searched(part, low, high, stage, tolerance)
+        def some(part, vacant):
+            return searched(part, low, high, stage, tolerance, vacant)
 
         kinds = np.full(numbers.shape, number)
         return in_batches(some, places, together, done, start=numbers, stage=kinds)
 
     say(f"reaching for the target from {starts} starts")
+    # not needed before the end, so not in the way of what is
+    outcome.meanwhile(begin, setup)
     final = search(places, reach, np.arange(starts), 1)
     cost, distance = seen(final.x, reach, together)
     kept = final.status == Status.SOLVED
