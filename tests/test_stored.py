@@ -116,6 +116,16 @@ def test_a_program_can_be_made_ahead(kept):
         again()
 
 
+def test_a_program_can_be_made_meanwhile(kept):
+    """Whoever needs it waits for it, and says what is wrong with it."""
+    stored(along).meanwhile(LINE, X, power=2)
+    np.testing.assert_array_equal(stored(along)(LINE, X, power=2).value, [0, 2, 8])
+    assert len(traced) == 1
+    stored(along).meanwhile(LINE, X, wrong=2)
+    with pytest.raises(TypeError, match="wrong"):
+        stored(along)(LINE, X, wrong=2)
+
+
 def test_sharing_parts_makes_no_difference(kept):
     name = "".join(["sta", "tic"])
     stored(along)(Line(jnp.asarray(1.0), name), X, power=2)
