@@ -3,7 +3,7 @@
 import csv
 import dataclasses
 import itertools
-import time
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -186,7 +186,9 @@ def test_a_front_goes_on_where_it_was(explored, monkeypatch):
     monkeypatch.setattr(explore, "_search", counted)
     with pytest.raises(Killed):
         front(explorer(store=store), ("force", "spread"), 5)
-    time.sleep(0.2)  # the other thread's batch
+    for other in threading.enumerate():  # with a batch under way, which is kept
+        if other.name.startswith("ThreadPool"):
+            other.join()
     done, before = len(store), len(runs)
     assert 3 <= done <= 6
     again = front(explorer(store=store), ("force", "spread"), 5)

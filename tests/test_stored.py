@@ -178,6 +178,8 @@ def test_nothing_is_kept_unasked(tmp_path, monkeypatch):
 
 def test_linear_algebra_in_a_new_process(kept):
     """Where LAPACK was not called before, a program that was read must find it."""
+    # a command that ran in this process may have added to XLA_FLAGS since
+    module.surroundings.cache_clear()
     stored(apart)(jnp.asarray(2.0))
     code = (
         "import jax, sys; jax.config.update('jax_enable_x64', True);"
