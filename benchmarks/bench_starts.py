@@ -97,7 +97,7 @@ def compare(path, quick):
     if quick:
         return
     search(1, reach)({name: x[:1] for name, x in places.items()})
-    alone, pairs = None, []
+    alone, pairs = near, []
     for _ in range(TURNS):
         alone, longer = timed(one_by_one, places)
         pairs.append((longer, timed(batched, places)[1]))

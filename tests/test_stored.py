@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -121,9 +122,10 @@ def test_a_program_can_be_made_meanwhile(kept):
     stored(along).meanwhile(LINE, X, power=2)
     np.testing.assert_array_equal(stored(along)(LINE, X, power=2).value, [0, 2, 8])
     assert len(traced) == 1
-    stored(along).meanwhile(LINE, X, wrong=2)
+    wrong: dict[str, Any] = {"wrong": 2}
+    stored(along).meanwhile(LINE, X, **wrong)
     with pytest.raises(TypeError, match="wrong"):
-        stored(along)(LINE, X, wrong=2)
+        stored(along)(LINE, X, **wrong)
 
 
 def test_sharing_parts_makes_no_difference(kept):
