@@ -1,7 +1,7 @@
 """Compiler: what XLA is told so that programs are quick to make, and quick to run.
 
 Options of one program go with it. What XLA only takes for a whole process is for the
-caller to choose, as all global settings are: every command does, and so may a notebook.
+caller to choose, as all global settings are: commands do, the library never.
 """
 
 import functools

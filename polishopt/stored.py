@@ -152,7 +152,7 @@ class Stored(Generic[Given, Result]):
         return made.outline()
 
     def meanwhile(self, *args, **kwargs) -> None:
-        """As `ahead`, but traces in the background too; whoever calls meanwhile waits.
+        """As `ahead`, but traces in the background too; an earlier call waits for it.
 
         Args:
             args: As in `ahead`.
