@@ -165,6 +165,7 @@ def loop_rate(
     return 1 / jnp.sqrt(largest(jnp.concatenate([alone[:, None], onward, back], axis=1)))
 
 
+@jax.custom_jvp
 def largest(values: Float[Array, "*n m"]) -> Float[Array, "*n"]:
     r"""Smooth maximum of the sizes of values along the last axis, $(\sum|v|^p)^{1/p}$.
 
@@ -177,16 +178,39 @@ def largest(values: Float[Array, "*n m"]) -> Float[Array, "*n"]:
 
     Source: the p-norm.
     """
+    most, _, norm = _over_most(values)
+    return most * norm
+
+
+@largest.defjvp
+def _largest_jvp(primals, tangents):
+    # each value counts by its share of the norm, to the power p - 1: written out, since
+    # powers and roots that are differentiated one by one make ten times the code
+    (values,), (changes,) = primals, tangents
+    most, parts, norm = _over_most(values)
+    share = parts / norm[..., None]
+    weight, power = share, share
+    for _ in range(DOUBLINGS - 1):
+        power = power * power
+        weight = weight * power
+    return most * norm, jnp.sum(weight * changes, axis=-1)
+
+
+def _over_most(
+    values: Float[Array, "*n m"],
+) -> tuple[Float[Array, "*n"], Float[Array, "*n m"], Float[Array, "*n"]]:
+    """Size of the largest value, all values over it, and the norm of these."""
     least = jnp.finfo(values.dtype).tiny  # nothing beside any other number, but no zero
     most = jax.lax.stop_gradient(jnp.max(jnp.abs(values), axis=-1)) + least
     # over the largest one, which cancels, powers neither overflow nor all vanish
-    powers = values / most[..., None]
+    parts = values / most[..., None]
+    total = parts
     for _ in range(DOUBLINGS):
-        powers = powers * powers
-    total = jnp.sum(powers, axis=-1) + least
+        total = total * total
+    total = jnp.sum(total, axis=-1) + least
     for _ in range(DOUBLINGS):
         total = jnp.sqrt(total)
-    return most * total
+    return most, parts, total
 
 
 def _around(values: Float[Array, "n m"]) -> Float[Array, "n m"]:
