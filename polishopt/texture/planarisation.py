@@ -53,7 +53,9 @@ def saturation(x: Float[Array, " *n"]) -> Float[Array, " *n"]:
     return jnp.where(small, series, -jnp.expm1(-safe) / safe)
 
 
-def decay_exponent(removal: Scalar, compression: Scalar) -> tuple[Scalar, Scalar]:
+def decay_exponent(
+    removal: Float[Array, "*n"], compression: Scalar
+) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
     r"""Removal in units of the pad's compression [-], and that compression [mm].
 
     $x = rh = h/A$, at most `RIGID`, where the compression is raised to match; 0 where

@@ -23,6 +23,9 @@ from .planarisation import asperity_stiffness, decay_exponent, saturation
 # The scratches on a surface, as far as its heights know them.
 Scratches = Cumulants
 
+# Those of the cumulants that make up Sq, Ssk and Sku.
+ORDERS = (2, 3, 4)
+
 # Integrals of the powers 1 to 4 of a parabola of height one, over its half-width.
 PARABOLA = (4.0 / 3.0, 16.0 / 15.0, 32.0 / 35.0, 256.0 / 315.0)
 
@@ -139,15 +142,18 @@ def groove_cumulants(abrasive: Abrasive, pressure: Scalar, removal: Scalar) -> S
     depth = groove_depth(abrasive, pressure)
     wear = compression(abrasive, pressure)
     variance = abrasive.depth_variation**2
-    moment, kappa = jnp.ones_like(depth), []
-    for n in (2, 3, 4):
-        moment = moment * depth * (1.0 + n * variance)
-        x, floored = decay_exponent(n * removal, wear)
-        # what arrived and has not decayed, h (1 - e^-x)/x; where the exponent is capped it
-        # is A/n
-        capped = floored > wear
-        kept = jnp.where(capped, wear / n, removal * saturation(x))
-        kappa.append((-1.0) ** n * PARABOLA[n - 1] / PARABOLA[0] * moment * kept)
+    moment, moments = jnp.ones_like(depth), []
+    for n in ORDERS:
+        moment = -moment * depth * (1.0 + n * variance)
+        moments.append(-PARABOLA[n - 1] / PARABOLA[0] * moment)
+    # one axis for the orders: their decays are one program then, not three
+    axes = [1] * max(depth.ndim, removal.ndim)
+    order = jnp.asarray(ORDERS, removal.dtype).reshape(-1, *axes)
+    x, floored = decay_exponent(order * removal, wear)
+    # what arrived and has not decayed, h (1 - e^-x)/x; where the exponent is capped it is
+    # A/n
+    kept = jnp.where(floored > wear, wear / order, removal * saturation(x))
+    kappa = (moment * one for moment, one in zip(moments, kept, strict=True))
     return Scratches(*kappa)
 
 
@@ -232,7 +238,7 @@ def decay(
     """
     width = scratches.width if isinstance(scratches, Population) else 0.0
     left = survival(removal, rate, width, conformity)
-    k2, k3, k4 = (k * left**n for n, k in zip((2, 3, 4), scratches, strict=True))
+    k2, k3, k4 = (k * left**n for n, k in zip(ORDERS, scratches, strict=True))
     if isinstance(scratches, Population):
         return Population(k2, k3, k4, scratches.width)
     return Cumulants(k2, k3, k4)
