@@ -200,7 +200,8 @@ def test_the_model_follows_a_curved_constraint():
         jnp.array([[1e-3, 0.0], [1.0, 0.0]]),
         jnp.array([jnp.zeros((2, 2)), 2.0 * jnp.eye(2)]),
     )
-    merit = Merit(lambda v: jnp.array([1.0, 1e4]) * v, jnp.zeros(2))
+    none = jnp.zeros(2)
+    merit = Merit(jnp.array([1.0, 1e4]), none, none > 0, none)
     low, high = jnp.full(2, -1.0), jnp.full(2, 1.0)
     step, change = least_of_model(merit, model, low, high)
     assert abs(float(model(step)[1])) < 1e-9

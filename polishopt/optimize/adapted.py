@@ -17,7 +17,6 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
 from .box import BoxState
-from .model import Merit
 from .outer import Outer
 from .penalty import Problem
 
@@ -87,7 +86,7 @@ class Adapted(eqx.Module):
         lower, upper, width = box
         point, _ = ravel_pytree(x)
         duals = outer.duals
-        merit = Merit(lambda v: self.problem.weigh(v, duals), self.problem.lead(duals))
+        merit = self.problem.merit(duals)
 
         # a bound that the descent leaves is left by a nudge: the map is flat there
         slope = state.jacobian.T @ merit.pull(state.values)
@@ -119,7 +118,7 @@ class Adapted(eqx.Module):
                 )
             else:
                 answer = optx.least_squares(
-                    lambda y, _: merit.weigh(values(y)),
+                    lambda y, _: merit.rows(values(y))[0],
                     solver,
                     free,
                     max_steps=self.max_steps,

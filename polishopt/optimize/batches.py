@@ -41,9 +41,6 @@ def looked_at(
 ) -> tuple[Any, Any]:
     """The parts of a problem at several places, and their slopes per unit.
 
-    On a processor one place after another: what one of them needs stays in the cache then,
-    and a place that is skipped costs nothing. On an accelerator all at once.
-
     Args:
         values: Of one place, and of what is given with it.
         x: Places, a pytree with a leading axis.
@@ -67,8 +64,7 @@ def looked_at(
 
     once: Any = jax.jit(look)  # traced but once
 
-    def one(place):
-        skipped, *rest = place
+    def one(skipped, *rest):
         shapes = once.eval_shape(*rest)
 
         def nothing(*_):
@@ -76,10 +72,7 @@ def looked_at(
 
         return jax.lax.cond(skipped, nothing, once, *rest)
 
-    places = (skipped, x, *given)
-    if jax.default_backend() == "cpu":
-        return jax.lax.map(one, places)
-    return jax.vmap(lambda *place: one(place))(*places)
+    return _each(one, skipped, x, *given)
 
 
 def walked(
@@ -136,7 +129,7 @@ def _set_out(parts, places, lower, upper) -> Walk:
     def one(parts, x, lower, upper):
         return _typed(set_out(problem_of(parts, x, lower, upper), x))
 
-    return jax.vmap(one)(parts, places, lower, upper)
+    return _each(one, parts, places, lower, upper)
 
 
 @seldom
@@ -146,16 +139,28 @@ def _turn(
     """All walks after their trial points, those that are over as they were."""
 
     def one(walk, parts, columns, lower, upper):
-        width = walk.state.scale
-        problem = problem_of(parts, walk.x, lower, upper, width=width)
-        values = ravel_pytree(parts)[0].astype(width.dtype)
-        new = taken_in(problem, rules, walk, values, columns * width[None, :])
-        new = proposed(problem, rules, new)
-        done = over(rules, walk)
-        new = jax.tree.map(lambda a, b: jnp.where(done, a, b), walk, new)
-        return _typed(new), over(rules, new)
+        def turned():
+            width = walk.state.scale
+            problem = problem_of(parts, walk.x, lower, upper, width=width)
+            values = ravel_pytree(parts)[0].astype(width.dtype)
+            new = taken_in(problem, rules, walk, values, columns * width[None, :])
+            return _typed(proposed(problem, rules, new))
 
-    return jax.vmap(one)(walk, parts, columns, lower, upper)
+        new = jax.lax.cond(over(rules, walk), lambda: walk, turned)
+        return new, over(rules, new)
+
+    return _each(one, walk, parts, columns, lower, upper)
+
+
+def _each(f: Callable[..., Any], *places: PyTree) -> Any:
+    """What a function returns for every place.
+
+    On a processor one place after another: what one of them needs stays in the cache then,
+    and what is skipped costs nothing. On an accelerator all at once.
+    """
+    if jax.default_backend() == "cpu":
+        return jax.lax.map(lambda place: f(*place), places)
+    return jax.vmap(f)(*places)
 
 
 def _typed(walk: Walk) -> Walk:
@@ -169,7 +174,7 @@ def _ended(walk: Walk, parts, lower, upper, rules: Rules) -> Solution:
         problem = problem_of(parts, walk.x, lower, upper, width=walk.state.scale)
         return ended(problem, rules, walk)
 
-    return jax.vmap(one)(walk, parts, lower, upper)
+    return _each(one, walk, parts, lower, upper)
 
 
 def in_batches(

@@ -20,7 +20,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ..parts import Scalar
-from .model import Merit, Model, learned, least_of_model, projected
+from .model import Merit, Model, learned, least_of_model, plain_merit, projected
 
 
 ACCEPT = 1e-4  # least share of the promised decrease that is worth moving for
@@ -79,10 +79,8 @@ class BoxLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     Options:
         lower, upper: Bounds, pytrees like the unknowns; none by default.
         scale: Lengths over which the unknowns matter, a pytree like them; see `widths`.
-        weigh: Elementwise map `weigh(values, args)` from the function's flat values to
-            residuals; the values themselves by default.
-        lead: `lead(args)`, the weights of values that are added to half the sum of squares
-            as they are: 1 for an objective, which `weigh` then leaves out; 0 by default.
+        merit: `merit(args)`, the `model.Merit` that is made small; half the sum of squares
+            of the function's values by default.
         choose: `choose(args, state, low, high)`, another choice of the step between `low`
             and `high`: the step, the change it promises, and new `args`.
         radius: Half the edge of the first trust region, in units of `scale`.
@@ -266,9 +264,7 @@ def stalled(state: BoxState) -> Bool[Array, ""]:
 
 def merit_of(args, options, values: Float[Array, " m"]) -> Merit:
     """What `options` ask to make small."""
-    weigh = options.get("weigh", lambda values, _: values)
-    lead = options["lead"](args) if "lead" in options else jnp.zeros_like(values)
-    return Merit(lambda values: weigh(values, args), lead)
+    return options["merit"](args) if "merit" in options else plain_merit(values)
 
 
 def bounds(y, options) -> tuple[Float[Array, " n"], Float[Array, " n"]]:

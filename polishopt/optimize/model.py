@@ -1,7 +1,7 @@
 r"""Model: what the next step expects of a problem, and where it is least.
 
 What is made small is a cheap function of values that are dear, $\tfrac12 |w(v(x))|^2 + l^T
-v(x)$: elementwise $w$ is a hinge or a weight, and $l$ picks a value that is an objective as
+v(x)$: elementwise $w$ is linear or a hinge, and $l$ picks a value that is an objective as
 it stands. Values, their Jacobian and the curvature of each at one point give a quadratic
 model of every value, $q_k(d) = v_k + J_k d + \tfrac12 d^T S_k d$, and so of what is made
 small, $m(d) = \tfrac12 |w(q(d))|^2 + l^T q(d)$. It sees a hinge before the step runs over
@@ -10,12 +10,10 @@ one point to the next, each value's own: multipliers and penalties may change me
 what depends on a few unknowns only is known after a few steps.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..parts import Scalar
 
@@ -26,30 +24,46 @@ AT_BOUND = 1e-6  # so near to a bound is at it, in widths of the box
 HALVINGS = 12  # lengths tried along each of them
 SAFE = 1e-1  # least cosine between step and surprise that an update of curvature divides by
 
-Weigh = Callable[[Float[Array, " m"]], Float[Array, " m"]]
-
 
 class Merit(eqx.Module):
     """What is made small, as a function of the values."""
 
-    weigh: Weigh
-    """Elementwise map $w$ from values to residuals."""
+    gain: Float[Array, " m"]
+    """Slope of $w$: how much a residual grows with its value."""
+    offset: Float[Array, " m"]
+    """Residual where the value is zero."""
+    hinged: Bool[Array, " m"]
+    """Whether a residual below zero counts as zero."""
     lead: Float[Array, " m"]
     """Weight $l$ of each value as it stands."""
 
+    def rows(
+        self, values: Float[Array, " m"]
+    ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+        """Residuals $w$, and their slopes."""
+        rows = self.gain * values + self.offset
+        idle = self.hinged & (rows < 0)
+        return jnp.where(idle, 0.0, rows), jnp.where(idle, 0.0, self.gain)
+
     def __call__(self, values: Float[Array, " m"]) -> Scalar:
         """Half the sum of squares of the residuals, and the leading values."""
-        return 0.5 * jnp.sum(self.weigh(values) ** 2) + self.lead @ values
+        return 0.5 * jnp.sum(self.rows(values)[0] ** 2) + self.lead @ values
 
     def noise(self, values: Float[Array, " m"]) -> Scalar:
         """What of the merit is rounding."""
-        size = 0.5 * jnp.sum(self.weigh(values) ** 2) + jnp.abs(self.lead @ values)
+        size = 0.5 * jnp.sum(self.rows(values)[0] ** 2) + jnp.abs(self.lead @ values)
         return NOISE * jnp.finfo(values.dtype).eps * size
 
     def pull(self, values: Float[Array, " m"]) -> Float[Array, " m"]:
         """Derivative with respect to the values: their multipliers."""
-        rows, slope = jax.jvp(self.weigh, (values,), (jnp.ones_like(values),))
+        rows, slope = self.rows(values)
         return slope * rows + self.lead
+
+
+def plain_merit(values: Float[Array, " m"]) -> Merit:
+    """Half the sum of squares of the values themselves."""
+    zero = jnp.zeros_like(values)
+    return Merit(zero + 1, zero, zero > 0, zero)
 
 
 class Model(eqx.Module):
@@ -106,9 +120,6 @@ def least_of_model(
     def after(step):
         return merit(model(step))
 
-    def hinged(values):
-        return jax.jvp(merit.weigh, (values,), (jnp.ones_like(values),))
-
     def newton_step(step, slopes, rows, slope):
         pull = slope * rows + merit.lead
         gradient = slopes.T @ pull
@@ -132,12 +143,12 @@ def least_of_model(
     def descend(carry):
         step, best, _, count = carry
         slopes = model.slopes(step)
-        rows, slope = hinged(model(step))
+        rows, slope = merit.rows(model(step))
         newton, downhill = newton_step(step, slopes, rows, slope)
         # hinges that this step would run into hold it as if they were touched already:
         # else a search that stands at one could not slide along it
         ahead = jnp.clip(step - newton, low, high)
-        later, bent = hinged(model(ahead))
+        later, bent = merit.rows(model(ahead))
         met = bent != 0
         later = later - bent * (slopes @ (ahead - step))
         sliding, _ = newton_step(

@@ -14,7 +14,6 @@ from jaxtyping import Array, Float, Int, PyTree
 from ..parts import Scalar
 from .box import BoxState, stalled
 from .certificate import Status
-from .model import Merit
 from .penalty import Duals, Problem
 
 
@@ -79,8 +78,7 @@ def outer_step(
     duals, feasible = outer.duals, tolerable(goal, state.values)
     _, constraints, hinged = problem.split(state.values)
     scaled, breach = constraints / duals.scale, problem.breach(state.values, duals)
-    merit = Merit(lambda values: problem.weigh(values, duals), problem.lead(duals))
-    pulls = merit.pull(state.values)
+    pulls = problem.merit(duals).pull(state.values)
     multiplier = pulls[problem.plain :] * duals.scale
     violation = jnp.max(jnp.abs(breach), initial=0.0)
     size = jnp.maximum(state.magnitude, 1.0)

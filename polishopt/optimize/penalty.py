@@ -9,12 +9,13 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from ..parts import Scalar
 from .box import BoxState
-from .model import positive, projected
+from .model import Merit, positive, projected
 
 
 LARGEST = 1e8  # penalties and multipliers over the first penalty
@@ -76,21 +77,23 @@ class Problem(eqx.Module):
         """Which of the constraints are inequalities."""
         return jnp.arange(self.constraints) < self.inequalities
 
-    def weigh(self, values: Float[Array, " m"], duals: Duals) -> Float[Array, " m"]:
-        """Residuals of the inner problem."""
-        plain, constraints, hinged = self.split(values)
-        scaled, root = constraints / self.measure(duals), jnp.sqrt(duals.penalty)
-        rows = jnp.where(duals.restoring, scaled, root * scaled + duals.multiplier / root)
-        square = ~duals.restoring & (jnp.arange(plain.size) < self.residuals)
-        plain = jnp.where(square, plain, 0.0)
-        return jnp.concatenate([plain, jnp.where(hinged & (rows < 0), 0.0, rows)])
+    def merit(self, duals: Duals) -> Merit:
+        """What the inner problem makes small."""
+        dtype = duals.scale.dtype
+        squared, single = np.eye(2).repeat([self.residuals, self.objectives], axis=1)
+        counts = jnp.where(duals.restoring, 0.0, jnp.ones((), dtype))
+        root = jnp.where(duals.restoring, 1.0, jnp.sqrt(duals.penalty))
+        none, no = jnp.zeros(self.plain, dtype), jnp.zeros(self.constraints, dtype)
 
-    def lead(self, duals: Duals) -> Float[Array, " m"]:
-        """Weights of the values that count as they stand in the inner problem."""
-        index = jnp.arange(self.plain + self.constraints)
-        objective = (index >= self.residuals) & (index < self.plain)
-        one = jnp.ones((), duals.scale.dtype)
-        return jnp.where(objective & ~duals.restoring, one, 0.0)
+        def joined(plain, constraints):
+            return jnp.concatenate([plain, constraints])
+
+        return Merit(
+            gain=joined(counts * squared.astype(dtype), root / self.measure(duals)),
+            offset=joined(none, counts * duals.multiplier / root),
+            hinged=joined(none > 0, self.hinged()),
+            lead=joined(counts * single.astype(dtype), no),
+        )
 
     def measure(self, duals: Duals) -> Float[Array, " c"]:
         """What a violation of one is at present, in the units of each constraint."""

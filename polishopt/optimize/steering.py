@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from ..parts import Scalar
 from .box import BoxState
-from .model import Merit, least_of_model
+from .model import least_of_model
 from .penalty import Duals, Problem
 
 
@@ -50,8 +50,7 @@ def steered(
         # the second try asks what a step for the violation alone would bring
         alone = duals.restoring | (count == 1)
         trial = eqx.tree_at(lambda d: d.restoring, firm, alone)
-        merit = Merit(lambda v: problem.weigh(v, trial), problem.lead(trial))
-        step, promised = least_of_model(merit, state.model, low, high)
+        step, promised = least_of_model(problem.merit(trial), state.model, low, high)
         there = jnp.abs(problem.breach(state.model(step), duals))
         then = jnp.max(there, initial=0.0)
         best = jnp.where(count == 1, then, best)

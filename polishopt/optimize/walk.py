@@ -207,7 +207,6 @@ def _how(problem: Problem) -> dict[str, Any]:
         "lower": problem.lower,
         "upper": problem.upper,
         "scale": problem.width,
-        "weigh": problem.weigh,
-        "lead": problem.lead,
+        "merit": problem.merit,
         "choose": lambda duals, *rest: steered(problem, duals, *rest),
     }
