@@ -174,35 +174,36 @@ def rims(
     level, slope = jnp.cos(process.tilt), jnp.sin(process.tilt)
     real = radius.dtype
     nodes, weights = np.polynomial.legendre.leggauss(WAVES)
-    angle = jnp.asarray(np.pi / 2 * nodes, dtype=real)  # of a wave, from V
-    weight = jnp.asarray(np.pi / 2 * weights, dtype=real)
+    angle = np.pi / 2 * nodes  # of a wave, from V
     order = jnp.asarray(np.arange(1, HARMONICS + 1), dtype=real)
+    secant = jnp.asarray(1 / np.cos(angle), dtype=real)
 
     # V from the guide's tangent: the centre lies a radius behind the contact point
     swing = -lean * bends.curvature * radius * level
     swift = jnp.sqrt(1 + swing**2)
     along = 2 * jnp.pi / process.step * order[None, :] / swift[:, None]
-    k = along[:, :, None] / jnp.cos(angle)[None, None, :]
-    heading = (bends.aspect + jnp.arctan(swing))[:, None] + angle[None, :]
+    k = along[:, :, None] * secant
+    # the wave from where the axis leans: the guide's tangent turns by arctan(swing) to V
+    aspect = bends.aspect[:, None] + jnp.asarray(angle, dtype=real)
+    cosine, sine = jnp.cos(aspect), jnp.sin(aspect)
+    ahead = level * (cosine - swing[:, None] * sine) / swift[:, None]
+    aside = (sine + swing[:, None] * cosine) / swift[:, None]
 
     # the rim's normal points where the wave runs, or back
-    reach = jnp.sqrt((level * jnp.cos(heading)) ** 2 + jnp.sin(heading) ** 2)
-    towards = -lean * level * jnp.cos(heading) / reach  # from the centre, in the disc
-    beside = jnp.sin(heading) / reach
+    reach = jnp.sqrt(ahead**2 + aside**2)
+    signs = jnp.asarray([1.0, -1.0], dtype=real)[:, None, None]
+    # from the contact point to the rim, in the disc
+    x = radius * (1 - signs * lean * ahead / reach)
+    d = jnp.stack([-lean * level * x, signs * radius * aside / reach], axis=-1)
+    sunk = jnp.einsum("...a,ab,...b->...", d, curvature, d)
     rim_radius = radius * level**2 / reach**3
-
-    def depth(sign):
-        x = radius * (1 + sign * towards)  # from the contact point, in the disc
-        d = jnp.stack([-lean * level * x, sign * radius * beside], axis=-1)
-        sunk = jnp.einsum("...a,ab,...b->...", d, curvature, d)
-        return process.displacement - slope * x - 0.5 * sunk
 
     loop = _loop(process.trochoid_radius * k)
     # dk across V, over 2 pi |V|; both signs of n
-    measure = k / jnp.cos(angle)[None, None, :] * weight[None, None, :]
-    measure = measure / (jnp.pi * swift)[:, None, None]
+    share = jnp.asarray(weights / 2 / np.cos(angle), dtype=real)
+    measure = k * share / swift[:, None, None]
     return Rims(
-        depths=jnp.stack([depth(1.0), depth(-1.0)]),
+        depths=process.displacement - slope * x - 0.5 * sunk,
         speed=process.spin * radius,
         edges=(2 * jnp.pi * rim_radius)[:, None, :] / k**3,
         weights=pace**2 * loop * measure,
