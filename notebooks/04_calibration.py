@@ -32,7 +32,7 @@ import numpy as np
 from IPython.display import Markdown
 from matplotlib_inline.backend_inline import set_matplotlib_formats
 from polishopt.calibrate import WORDS, remarks
-from polishopt.contact.pressure import flat_force
+from polishopt.contact.flat import flat_force
 from polishopt.files import assemble
 from polishopt.files.calibrated import key_of
 from polishopt.files.config import load

@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .batched import in_batches
-from .contact.pressure import force_and_area, most_displacement
+from .contact.limits import most_displacement
+from .contact.pressure import force_and_area
 from .parts import Process, Scalar, Tool
 from .path.surface import curvature
 from .path.toolpath import posture

@@ -13,7 +13,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .constants import part, with_constants
-from .contact.pressure import flat_force, force_and_area, shear_margin, unstick_force
+from .contact.flat import flat_force
+from .contact.limits import shear_margin, unstick_force
+from .contact.pressure import force_and_area
 from .parts import Process, Scalar
 from .setup import Setup
 

@@ -18,17 +18,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .batched import in_batches
-from .contact.pressure import (
-    body_clearance,
-    effective_diameter,
-    envelope,
-    flat_area,
-    flat_force,
-    force_and_area,
-    patch,
-    shear_margin,
-    unstick_force,
-)
+from .contact.flat import effective_diameter, envelope, flat_load, flat_patch
+from .contact.limits import body_clearance, shear_margin, unstick_force
+from .contact.pressure import force_and_area, patch
 from .contact.removal import deposit, fraction_inside, preston_rates
 from .contact.ripple import Ripple, ripple
 from .hold import held_displacement, loop_bend
@@ -104,16 +96,16 @@ class Mechanics(eqx.Module):
 
 
 class Stations(eqx.Module):
-    """The process at stations along the guide (k), and phases of the loop there (j)."""
+    """The process at stations along the guide (k), each with a whole loop there."""
 
     weight: Float[Array, "*k"]
     """Length of guide, run in contact, that a station stands for [mm]."""
-    pace: Float[Array, "*k j"]
-    """Time per length of guide [s/mm]."""
-    dwell: Float[Array, "*k j"]
-    """Time that a station and phase stand for, one pass [s]."""
-    length: Float[Array, "*k j"]
-    """Contact path that they stand for, one pass [mm]."""
+    pace: Float[Array, "*k"]
+    """Time per length of guide, rms over the loop [s/mm]."""
+    dwell: Float[Array, "*k"]
+    """Time that a station stands for, one pass [s]."""
+    length: Float[Array, "*k"]
+    """Contact path that it stands for, one pass [mm]."""
     idle: Float[Array, "*k"]
     """Time on the way with the tool lifted, which no dwell counts, one pass [s]."""
     curvature: Float[Array, "*k 2 2"]
@@ -124,8 +116,11 @@ class Stations(eqx.Module):
     """Force normal to the part [N]."""
     area: Float[Array, "*k"]
     """Area in contact [mm^2]."""
+    taken: Float[Array, "*k"]
+    """Volume that a station's loop would remove if the part had no edges, one pass
+    [mm^3]."""
     kept: Float[Array, "*k"]
-    """Volume that a station's loop removes from the part, one pass [mm^3]."""
+    """What of it is removed from the part [mm^3]."""
     points: Float[Array, "*k n 2"]
     """Where each node of its contact patches removes, in the parameter plane [mm]."""
     volumes: Float[Array, "*k n"]
@@ -153,23 +148,16 @@ def along(process: Process, setup: Setup) -> Stations:
     spacing = process.step / count
     surface, grid = setup.surface, setup.grid
 
-    def footing(process, bend):
-        sampling = setup.sampling
-        return patch(
-            process, setup.tool, bend, side, sampling.rows, sampling.columns, setup.panels
-        )
+    tool, nodes_of = setup.tool, (setup.sampling.rows, setup.sampling.columns)
 
     # one contact patch serves all phases of a loop, and on a plane all stations; its force
     # and area are found apart: the area of its nodes has a corner wherever a row of them
     # comes to reach across the disc
     level, flat = None, ()
     if setup.level:
-        level, tool = footing(process, jnp.zeros((2, 2), dtype=s.dtype)), setup.tool
+        level = flat_patch(process, tool, side, *nodes_of)
         pressed = process.tilt, process.displacement
-        flat = (
-            flat_force(tool.radius, tool.foundation, *pressed, tool.stiffening),
-            flat_area(tool.radius, *pressed),
-        )
+        flat = flat_load(tool.radius, tool.foundation, *pressed, tool.stiffening)
         flat = tuple(jnp.where(process.displacement > 0, one, 0.0) for one in flat)
 
     def place_at(process, point, phase):
@@ -245,25 +233,27 @@ def along(process: Process, setup: Setup) -> Stations:
         idle = jnp.sum((1 - contact) * weight / count / speed)
         weight = contact * weight
         dwell = weight / count / speed
-        mean_bend = jnp.mean(jax.vmap(bend)(place), axis=0)
-        nodes = footing(here, mean_bend) if level is None else level
-        force, area = flat or force_and_area(
-            here, setup.tool, mean_bend, side, setup.panels
-        )
+        mean_bend = jnp.zeros((2, 2), dtype=s.dtype)
+        if not setup.flat:
+            mean_bend = jnp.mean(jax.vmap(bend)(place), axis=0)
+        touching = here, tool, mean_bend, side
+        nodes = level or patch(*touching, *nodes_of, setup.panels)
+        force, area = flat or force_and_area(*touching, setup.panels)
         points, volumes = jax.vmap(touch, in_axes=(None, 0, 0, 0, 0))(
             nodes, place, tangent, speed, dwell
         )
         points, volumes = points.reshape(-1, 2), volumes.reshape(-1)
         return Stations(
             weight=weight,
-            pace=1 / speed,
-            dwell=dwell,
-            length=weight / count * rate,
+            pace=jnp.sqrt(jnp.mean(1 / speed**2)),
+            dwell=jnp.sum(dwell),
+            length=jnp.sum(weight / count * rate),
             idle=idle,
             curvature=mean_bend,
             displacement=here.displacement,
             force=jnp.where(contact > 0, force, 0.0),
             area=area,
+            taken=jnp.sum(volumes),
             kept=jnp.sum(volumes * fraction_inside(points, grid)),
             points=points,
             volumes=volumes,
@@ -287,7 +277,8 @@ def mechanics(process: Process, setup: Setup) -> Mechanics:
     Source: S0 (Pessoles & Tournier 2009).
     """
     path = along(process, setup)
-    share = jnp.sum(path.dwell, axis=1) / jnp.sum(path.dwell)
+    once = jnp.sum(path.dwell)
+    share = path.dwell / once
     force, area = jnp.sum(share * path.force), jnp.sum(share * path.area)
     pressure = _share(force, area)
     force_max = jnp.max(path.force)
@@ -313,8 +304,7 @@ def mechanics(process: Process, setup: Setup) -> Mechanics:
     load = _share(process.passes * deposit(points, pressed, grid) / stretch, removal)
 
     waves = _ripple(process, setup, path)
-    total = jnp.sum(path.volumes)
-    inside = _share(jnp.sum(path.kept), total)
+    inside = _share(jnp.sum(path.kept), jnp.sum(path.taken))
     density = setup.guide.contact_length / part_area * inside
     passed = 1 - gaussian_transmission(waves.wavelengths, setup.roughness_cutoff)
     bare, _ = waves.moments(density)
@@ -328,7 +318,7 @@ def mechanics(process: Process, setup: Setup) -> Mechanics:
         process, setup, path.curvature, path.force, path.displacement
     )
 
-    dwell = process.passes * jnp.sum(path.dwell)
+    dwell = process.passes * once
     time = dwell + process.passes * jnp.sum(path.idle)
     length = process.passes * jnp.sum(path.length)
     return Mechanics(
@@ -364,7 +354,7 @@ def _ripple(process: Process, setup: Setup, path: Stations) -> Ripple:
     gain = setup.abrasive.ripple_gain
     share = path.weight / jnp.sum(path.weight)
     bend = jnp.einsum("k,kab->ab", share, path.curvature)
-    square = jnp.sum(share[:, None] * path.pace**2) / path.pace.shape[1]
+    square = jnp.sum(share * path.pace**2)
     mean = jnp.sum(share * path.displacement)
     waves = ripple(
         dataclasses.replace(process, displacement=mean),
@@ -373,7 +363,7 @@ def _ripple(process: Process, setup: Setup, path: Stations) -> Ripple:
         setup.guide.bends() if setup.lean == "guide" else setup.guide.compass(),
         bend,
         jnp.sqrt(square),
-        process.passes * jnp.sum(path.volumes) / jnp.sum(path.dwell),
+        process.passes * jnp.sum(path.taken) / jnp.sum(path.dwell),
         setup.side,
     )
     return eqx.tree_at(lambda w: w.variances, waves, gain**2 * waves.variances)

@@ -24,7 +24,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from .chain import Outcome
-from .contact.pressure import body_clearance, force_and_area, patch, unstick_force
+from .contact.limits import body_clearance, unstick_force
+from .contact.pressure import force_and_area, patch
 from .parts import Process
 from .path.surface import curvature, jacobian, normal
 from .resolved import Run

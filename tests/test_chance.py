@@ -16,7 +16,8 @@ from helpers import assert_close, assert_gradient
 from polishopt import report, results
 from polishopt.chain import polish
 from polishopt.constants import START, part, with_constants
-from polishopt.contact.pressure import flat_force, patch
+from polishopt.contact.flat import flat_force
+from polishopt.contact.pressure import patch
 from polishopt.files import assemble
 from polishopt.files.config import ConfigError, describe, load
 from polishopt.files.results import write_json

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 from helpers import assert_close
-from polishopt.contact import pressure
+from polishopt.contact import flat, limits, pressure
 from polishopt.parts import Process, Tool
 
 
@@ -51,7 +51,7 @@ FORCE_TABLE = {
 @pytest.mark.parametrize("displacement", FORCE_TABLE)
 @pytest.mark.parametrize(("column", "tilt_deg"), enumerate((3, 5, 10, 15)))
 def test_force_table(displacement, column, tilt_deg):
-    force = pressure.flat_force(
+    force = flat.flat_force(
         jnp.asarray(9.0),
         jnp.asarray(1.0),
         jnp.asarray(tilt_deg * DEG),
@@ -79,7 +79,7 @@ def test_a_bed_that_stiffens(tilt_deg, displacement, stiffening):
     end = min(displacement / math.sin(tilt), 2 * radius) if tilt else 2 * radius
     want = 0.3 * math.cos(tilt) * scipy.integrate.quad(slice_, 0, end, epsabs=1e-12)[0]
     given = [radius, 0.3, tilt, displacement, stiffening]
-    assert_close(pressure.flat_force(*map(jnp.asarray, given)), want, rtol=1e-8)
+    assert_close(flat.flat_force(*map(jnp.asarray, given)), want, rtol=1e-8)
     tool = disc(foundation=0.3, stiffening=stiffening)
     nodes = patch(process(tilt_deg, displacement), tool, FLAT, rows=24)
     assert_close(nodes.force, want, rtol=1e-4)
@@ -119,8 +119,8 @@ def brute_force(tilt_deg, displacement, curvature, diameter=18.0, lean=1.0, coun
 def test_curvature_changes_the_force(tilt_deg, displacement, diameter, radius, force_ratio):
     tool, setting = disc(diameter), process(tilt_deg, displacement)
     curved = patch(setting, tool, jnp.eye(2) / radius, rows=8, columns=6, panels=2)
-    flat = patch(setting, tool, FLAT, rows=8, columns=6)
-    assert_close(curved.force / flat.force, force_ratio, rtol=0.02)
+    plane = patch(setting, tool, FLAT, rows=8, columns=6)
+    assert_close(curved.force / plane.force, force_ratio, rtol=0.02)
     force, area = brute_force(tilt_deg, displacement, np.eye(2) / radius, diameter)
     assert_close(curved.force, 0.3 * force, rtol=2e-3)
     assert_close(curved.contact_area, area, rtol=5e-3)
@@ -144,9 +144,42 @@ def test_force_and_area_on_a_plane_are_the_closed_forms(tilt_deg, displacement, 
     tool, setting = disc(stiffening=stiffening), process(tilt_deg, displacement)
     force, area = force_and_area(setting, tool, FLAT)
     pressed = setting.tilt, setting.displacement
-    exact = pressure.flat_force(tool.radius, tool.foundation, *pressed, tool.stiffening)
+    exact = flat.flat_force(tool.radius, tool.foundation, *pressed, tool.stiffening)
     assert_close(force, exact, rtol=1e-9)
-    assert_close(area, pressure.flat_area(tool.radius, *pressed), rtol=1e-11)
+    assert_close(area, flat.flat_area(tool.radius, *pressed), rtol=1e-11)
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 0.5, 3, 10, 40])
+@pytest.mark.parametrize("displacement", [1e-3, 0.05, 0.3, 0.9, 2.5])
+@pytest.mark.parametrize("lean", [1.0, -1.0])
+def test_the_patch_on_a_plane_is_that_without_curvature(tilt_deg, displacement, lean):
+    tool, setting = disc(stiffening=0.7), process(tilt_deg, displacement)
+    one, other = flat.flat_patch(setting, tool, lean), patch(setting, tool, FLAT, lean)
+    for got, want in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        assert_close(got, want, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 3])
+@pytest.mark.parametrize("displacement", [-0.1, 0.0])
+def test_nothing_presses_on_a_plane_without_displacement(tilt_deg, displacement):
+    nodes = flat.flat_patch(process(tilt_deg, displacement), disc())
+    assert_close(nodes.pressure, np.zeros((12, 4)), atol=0)
+
+
+@pytest.mark.parametrize("x", [(3 * DEG, 0.4), (10 * DEG, 0.4), (3 * DEG, 0.946)])
+def test_slopes_of_the_patch_on_a_plane_are_those_without_curvature(x):
+    def spread(laid):
+        def of(x):
+            nodes = laid(Process(x[0], x[1], 1.0, 6.0, 16.7, 209.4), disc(stiffening=0.7))
+            return jnp.stack([jnp.sum(leaf**2) for leaf in jax.tree.leaves(nodes)])
+
+        return of
+
+    one = spread(flat.flat_patch)
+    other = spread(lambda setting, tool: pressure.patch(setting, tool, FLAT))
+    got = jax.jacfwd(one)(jnp.asarray(x))
+    assert_close(got, jax.jacfwd(other)(jnp.asarray(x)), rtol=1e-8, atol=1e-9)
+    assert_close(got, jax.jacrev(one)(jnp.asarray(x)), rtol=1e-9, atol=1e-12)
 
 
 def by_rays(tilt_deg, displacement, curvature, lean, radius=9.0, count=200_000):
@@ -257,9 +290,9 @@ def test_patch_geometry():
     assert_close(pushing.offsets[..., 0], -pulling.offsets[..., 0])
     assert_close(pulling.pressure, pushing.pressure)
     width = 2 * jnp.abs(pulling.offsets[..., 1]).max()
-    d_eff = pressure.effective_diameter(tool.radius, setting.tilt, setting.displacement)
+    d_eff = flat.effective_diameter(tool.radius, setting.tilt, setting.displacement)
     assert 0.9 * d_eff < width < d_eff
-    area = pressure.flat_area(tool.radius, setting.tilt, setting.displacement)
+    area = flat.flat_area(tool.radius, setting.tilt, setting.displacement)
     assert_close(pulling.contact_area, area, rtol=1e-3)
 
 
@@ -267,24 +300,24 @@ def test_effective_diameter():
     r9, tilt = jnp.asarray(9.0), jnp.asarray(3 * DEG)
     l = 9.0 - 0.4 / np.sin(3 * DEG)
     assert_close(
-        pressure.effective_diameter(r9, tilt, jnp.asarray(0.4)), 2 * np.sqrt(81 - l**2)
+        flat.effective_diameter(r9, tilt, jnp.asarray(0.4)), 2 * np.sqrt(81 - l**2)
     )
     # past the middle of the disc the width is the diameter, where S0 eq. (6) has 2.48 mm
     r3 = jnp.asarray(3.0)
-    assert_close(pressure.effective_diameter(r3, tilt, jnp.asarray(0.3)), 6.0)
-    assert_close(pressure.envelope(r3, process(3, 0.3)), 18.0)
+    assert_close(flat.effective_diameter(r3, tilt, jnp.asarray(0.3)), 6.0)
+    assert_close(flat.envelope(r3, process(3, 0.3)), 18.0)
 
 
 def test_unstick_limits():
     tool = disc(shear_strength=0.1)
     for tilt_deg in (5, 10, 15):
         critical = 0.6 * np.cos(tilt_deg * DEG) + 4 * np.sin(tilt_deg * DEG)
-        assert_close(pressure.body_clearance(process(tilt_deg, 1.2), tool), critical - 1.2)
+        assert_close(limits.body_clearance(process(tilt_deg, 1.2), tool), critical - 1.2)
         # S0 Fig. 4: at 1.2 mm only the 5 degree curve has come unstuck
         assert (critical < 1.2) == (tilt_deg == 5)
-    assert_close(pressure.unstick_force(jnp.asarray(4 * DEG), tool), 10.0)
-    assert_close(pressure.unstick_force(jnp.asarray(20 * DEG), tool), 18.0)
-    assert_close(pressure.shear_margin(process(5, 0.5), tool), 0.1 - 0.4 * 0.3 * 0.5)
+    assert_close(limits.unstick_force(jnp.asarray(4 * DEG), tool), 10.0)
+    assert_close(limits.unstick_force(jnp.asarray(20 * DEG), tool), 18.0)
+    assert_close(limits.shear_margin(process(5, 0.5), tool), 0.1 - 0.4 * 0.3 * 0.5)
 
 
 def test_no_hidden_units():
@@ -304,10 +337,8 @@ def test_no_hidden_units():
     assert_close(there.contact_area, 1e-6 * here.contact_area, rtol=1e-9)
     assert_close(there.pressure, 1e6 * here.pressure, rtol=1e-7, atol=1e-3)
     assert_close(
-        pressure.flat_force(
-            metres.radius, metres.foundation, *map(jnp.asarray, (0.1, 4e-4))
-        ),
-        pressure.flat_force(tool.radius, tool.foundation, *map(jnp.asarray, (0.1, 0.4))),
+        flat.flat_force(metres.radius, metres.foundation, *map(jnp.asarray, (0.1, 4e-4))),
+        flat.flat_force(tool.radius, tool.foundation, *map(jnp.asarray, (0.1, 0.4))),
     )
 
 
@@ -320,12 +351,12 @@ def outcomes(x):
         [
             nodes.force,
             jnp.sum(nodes.pressure * nodes.area**2),
-            pressure.flat_force(tool.radius, tool.foundation, x[0], x[1]),
-            pressure.flat_area(tool.radius, x[0], x[1]),
+            flat.flat_force(tool.radius, tool.foundation, x[0], x[1]),
+            flat.flat_area(tool.radius, x[0], x[1]),
             *pressure.force_and_area(setting, tool, x[2] * jnp.eye(2), panels=2),
             nodes.contact_area,
             jnp.sum(nodes.offsets**2),
-            pressure.effective_diameter(tool.radius, x[0], x[1]),
+            flat.effective_diameter(tool.radius, x[0], x[1]),
         ]
     )
 

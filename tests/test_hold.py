@@ -11,12 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close, assert_gradient
-from polishopt.contact.pressure import (
-    force_and_area,
-    most_displacement,
-    patch,
-    shear_margin,
-)
+from polishopt.contact.limits import most_displacement, shear_margin
+from polishopt.contact.pressure import force_and_area, patch
 from polishopt.files.assemble import job
 from polishopt.files.config import load
 from polishopt.hold import held_displacement, loop_bend, schedule

@@ -17,7 +17,7 @@ path.trochoid path.toolpath path
 machine.kinematics machine.route machine.sweep machine.feed machine.exact machine.loop
 machine.shape machine.banded machine.interior machine.jerk machine.jerk_exact machine.usage
 machine
-contact.pressure contact.removal contact.ripple contact
+contact.pressure contact.flat contact.limits contact.removal contact.ripple contact
 texture.filters texture.areal texture.hybrid texture.lay texture.spatial texture.spectrum
 texture.functional
 texture.feature texture.uncertainty texture.parameters

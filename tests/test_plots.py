@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from polishopt import feed_plot, plots
 from polishopt.chain import Outcome
-from polishopt.contact.pressure import flat_area, flat_force
+from polishopt.contact.flat import flat_area, flat_force
 from polishopt.parts import Abrasive, Machine, Process, Tool
 from polishopt.path.families import lines
 from polishopt.path.surface import Plane, SphereCap

@@ -2,14 +2,15 @@ r"""Pressure: where the tilted disc touches the part, and how hard it presses.
 
 The elastomer behind the disc is taken as a bed of independent springs (Winkler): each
 point presses with k times the depth it would otherwise sink in, or a little more than in
-proportion where the bed stiffens. On a plane everything
-has a closed form (a cylindrical ungula); on a curved part the gap gains the local
-curvature and a quadrature over the contact patch takes over. The tool frame has its
-origin at the contact point, which is the lowest point of the rim: xi runs along the feed
-direction, eta to its left.
+proportion where the bed stiffens. On a curved part the gap gains the local curvature, and
+what the disc does is a quadrature over the contact patch; for planes see `flat`. The tool
+frame has its origin at the contact point, which is the lowest point of the rim: xi runs
+along the feed direction, eta to its left.
 
 Ignored: shear between neighbouring springs, and the time the elastomer takes to relax.
 """
+
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,85 +27,10 @@ LOAD_ROWS, LOAD_COLUMNS, NEWTON = 8, 3, 3
 TINY = 1e-12
 
 
-def _tiny(x: Scalar) -> float:
+def tiny(x: Scalar) -> float:
+    """`TINY` in the precision of a number."""
     # in single precision 1 - TINY is 1, and arccos has no slope there
     return max(TINY, float(jnp.finfo(x.dtype).eps))
-
-
-def immersion(radius: Scalar, tilt: Scalar, displacement: Scalar) -> Scalar:
-    r"""Length of the contact segment in the disc plane, s = min(e / sin(theta), 2R) [mm].
-
-    At zero tilt the pressed disc touches as a whole and the value is 2R; without
-    displacement it is 0.
-
-    Args:
-        radius: Disc radius, $R$ [mm].
-        tilt: Tilt, $\theta$ [rad].
-        displacement: Displacement, $e$ [mm].
-
-    Source: own derivation; S0 (Pessoles & Tournier 2009) eq. (7) is its projection.
-    """
-    slope = jnp.sin(tilt)
-    partial = (displacement < 2 * radius * slope) | (displacement <= 0)
-    sloped = partial & (slope > 0)
-    part = jnp.maximum(displacement, 0.0) / jnp.where(sloped, slope, 1.0)
-    return jnp.where(partial, part, 2 * radius)
-
-
-def effective_diameter(radius: Scalar, tilt: Scalar, displacement: Scalar) -> Scalar:
-    r"""Width that the tilted disc wipes, D_eff [mm].
-
-    $D_{eff} = 2\sqrt{R^2 - l^2}$ with the chord distance $l = R - e/\sin\theta$ measured
-    in the disc plane. Once the contact reaches the disc's centre ($l \le 0$) the width is
-    the full diameter; the printed formula would let it shrink again. At zero displacement
-    it is 0, with a gradient of 0.
-
-    Args:
-        radius: Disc radius, $R$ [mm].
-        tilt: Tilt, $\theta$ [rad].
-        displacement: Displacement, $e$ [mm].
-
-    Source: S0 (Pessoles & Tournier 2009) eqs. (6), (7), with l unprojected and clamped.
-    """
-    reach = jnp.minimum(immersion(radius, tilt, displacement), radius)
-    square = reach * (2 * radius - reach)
-    touching = square > 0
-    return jnp.where(touching, 2 * jnp.sqrt(jnp.where(touching, square, 1.0)), 0.0)
-
-
-def envelope(radius: Scalar, process: Process) -> Scalar:
-    """Width of the strip that one trochoid polishes, E = 2 D_tr + D_eff [mm].
-
-    Args:
-        radius: Disc radius [mm].
-        process: Tilt, displacement and trochoid radius.
-
-    Source: S0 (Pessoles & Tournier 2009) eq. (8); D_tr acts as a radius.
-    """
-    width = effective_diameter(radius, process.tilt, process.displacement)
-    return 2 * process.trochoid_radius + width
-
-
-def _segment_angle(radius: Scalar, reach: Scalar) -> Scalar:
-    # half the angle that the contact segment subtends; its corners at 0 and pi are cut
-    cosine = 1 - reach / radius
-    return jnp.arccos(jnp.clip(cosine, -1 + _tiny(cosine), 1 - _tiny(cosine)))
-
-
-def flat_area(radius: Scalar, tilt: Scalar, displacement: Scalar) -> Scalar:
-    r"""Contact area on a plane [mm^2].
-
-    $A = \cos\theta\,R^2(\alpha - \sin\alpha\cos\alpha)$, $\cos\alpha = 1 - s/R$.
-
-    Args:
-        radius: Disc radius, $R$ [mm].
-        tilt: Tilt, $\theta$ [rad].
-        displacement: Displacement, $e$ [mm].
-
-    Source: area of a circular segment.
-    """
-    angle = _segment_angle(radius, immersion(radius, tilt, displacement))
-    return jnp.cos(tilt) * radius**2 * (angle - jnp.sin(angle) * jnp.cos(angle))
 
 
 def bed_pressure(
@@ -122,44 +48,6 @@ def bed_pressure(
     """
     pressed = jnp.maximum(depth, 0.0)
     return foundation * pressed * jnp.maximum(1.0 + stiffening * pressed, 0.0)
-
-
-def flat_force(
-    radius: Scalar,
-    foundation: Scalar,
-    tilt: Scalar,
-    displacement: Scalar,
-    stiffening: Scalar | float = 0.0,
-) -> Scalar:
-    r"""Force that presses a tilted disc on a plane [N].
-
-    $F = k\sin\theta\cos\theta\,R^3[\sin\alpha - \tfrac13\sin^3\alpha - \alpha\cos\alpha]$
-    while part of the disc touches; $F = k\cos\theta\,\pi R^2 (e - R\sin\theta)$ once all
-    of it does. Both values and slopes agree where the cases meet. A bed that stiffens adds
-    $k\beta\sin^2\theta\cos\theta\,R^4[\tfrac14\alpha - \tfrac1{16}\sin4\alpha
-    - \tfrac43\cos\alpha\sin^3\alpha + \cos^2\alpha(\alpha - \tfrac12\sin2\alpha)]$,
-    and $k\beta\cos\theta\,\pi R^2[(e - R\sin\theta)^2 + \tfrac14R^2\sin^2\theta]$.
-
-    Args:
-        radius: Disc radius, $R$ [mm].
-        foundation: Stiffness of the elastic bed, $k$ [N/mm^3].
-        tilt: Tilt, $\theta$ [rad].
-        displacement: Displacement, $e$ [mm].
-        stiffening: Relative growth of the bed's stiffness per depth, $\beta$ [1/mm].
-
-    Source: own derivation, volume of a cylindrical ungula and its second moment.
-    """
-    angle = _segment_angle(radius, immersion(radius, tilt, displacement))
-    sine, cosine = jnp.sin(angle), jnp.cos(angle)
-    ungula = radius**3 * (sine - sine**3 / 3 - angle * cosine)
-    slope, level = jnp.sin(tilt), foundation * jnp.cos(tilt)
-    second = angle / 4 - jnp.sin(4 * angle) / 16 - 4 * cosine * sine**3 / 3
-    second = second + cosine**2 * (angle - jnp.sin(2 * angle) / 2)
-    part = level * slope * (ungula + stiffening * slope * radius**4 * second)
-    excess = displacement - radius * slope
-    square = excess**2 + (radius * slope) ** 2 / 4
-    whole = level * jnp.pi * radius**2 * (excess + stiffening * square)
-    return jnp.where(displacement >= 2 * radius * slope, whole, part)
 
 
 class Patch(eqx.Module):
@@ -204,7 +92,7 @@ def _rim_angle(process, radius, curvature) -> Scalar:
     below = jnp.where(inside > 0, linear + root, 0.0)
     bounded = below > 2 * depth  # otherwise the rim touches a quarter turn or more
     rise = jnp.where(bounded, 2 * depth / jnp.where(bounded, below, 1.0), 1.0)
-    return jnp.arccos(1 - jnp.clip(rise, _tiny(rise), 1.0))
+    return jnp.arccos(1 - jnp.clip(rise, tiny(rise), 1.0))
 
 
 def patch(
@@ -241,12 +129,23 @@ def patch(
 
     Source: own derivation; flat case as `flat_force`.
     """
-    half_angle = _rim_angle(process, tool.radius, curvature)
+    angle, height = rows_within(_rim_angle(process, tool.radius, curvature), rows)
+    return _nodes(angle, height, process, tool, curvature, lean, columns, panels)
+
+
+def rows_within(
+    half_angle: Scalar, rows: int
+) -> tuple[Float[Array, " rows"], Float[Array, " rows"]]:
+    """Rim angles at which the rows of a patch begin, and what each stands for [rad].
+
+    Args:
+        half_angle: Rim angle from the contact point beyond which nothing touches [rad].
+        rows: Rows on either side; there are twice as many.
+    """
     nodes, weights = _gauss(rows, half_angle)
     angle, height = half_angle * nodes, half_angle * weights
     angle = jnp.concatenate([-angle[::-1], angle])
-    height = jnp.concatenate([height[::-1], height])
-    return _nodes(angle, height, process, tool, curvature, lean, columns, panels)
+    return angle, jnp.concatenate([height[::-1], height])
 
 
 def _gauss(count: int, like: Array) -> tuple[Array, Array]:
@@ -295,15 +194,43 @@ def _nodes(
         second = jnp.where(concave, below / jnp.where(concave, -bend, 1.0), far)
         ends.append((jnp.clip(second, first, far), far))
 
+    def depth(x):
+        return start[:, None] - steep[:, None] * x - 0.5 * bend * x**2
+
+    return columns_between(ends, eta, height, depth, process, tool, lean, columns)
+
+
+def columns_between(
+    ends: Sequence[tuple[Float[Array, " rows"], Float[Array, " rows"]]],
+    eta: Float[Array, " rows"],
+    height: Float[Array, " rows"],
+    depth: Callable[[Float[Array, "rows n"]], Float[Array, "rows n"]],
+    process: Process,
+    tool: Tool,
+    lean: float,
+    columns: int,
+) -> Patch:
+    """The patch whose rows touch between given distances in the disc plane.
+
+    Args:
+        ends: From where to where each row touches, in one panel or several [mm].
+        eta: Where the rows lie [mm].
+        height: How much of eta each stands for [mm].
+        depth: How deep the disc is pressed in, of the distance along each row [mm].
+        process: Tilt is read.
+        tool: Radius, foundation and stiffening are read.
+        lean: As in `patch`.
+        columns: Nodes in each panel of a row.
+    """
+    radius, level = tool.radius, jnp.cos(process.tilt)
     nodes, weights = (w[None, :] for w in _gauss(columns, eta))
     x = jnp.concatenate([a[:, None] + (b - a)[:, None] * nodes for a, b in ends], axis=1)
     width = jnp.concatenate([(b - a)[:, None] * weights for a, b in ends], axis=1)
-    depth = start[:, None] - steep[:, None] * x - 0.5 * bend * x**2
     across = jnp.broadcast_to(eta[:, None], x.shape)
     return Patch(
         offsets=jnp.stack([-lean * level * x, across], axis=-1),
         arms=jnp.stack([radius - x, across], axis=-1),
-        pressure=bed_pressure(tool.foundation, tool.stiffening, depth),
+        pressure=bed_pressure(tool.foundation, tool.stiffening, depth(x)),
         area=level * width * height[:, None],
     )
 
@@ -370,7 +297,7 @@ def _edge_angle(process, radius, curvature, side) -> Float[Array, " sides"]:
     below = jnp.where(inside > 0, linear + root, 0.0)
     ends = below > depth  # otherwise the whole rim would touch
     rise = jnp.where(ends, 2 * depth / jnp.where(ends, below, 1.0), 2.0)
-    rise = jnp.clip(rise, _tiny(rise), 2 - _tiny(rise))
+    rise = jnp.clip(rise, tiny(rise), 2 - tiny(rise))
     u = jnp.sqrt((2 - rise) / rise)
 
     lead = jnp.where(farthest < 0, -farthest / u**2, middle)
@@ -389,71 +316,3 @@ def _edge_angle(process, radius, curvature, side) -> Float[Array, " sides"]:
         step = jnp.where(good, left / jnp.where(good, rises, 1.0), 0.0)
         u = jnp.maximum(u - step, 0.5 * u)
     return 2 * jnp.arctan2(jnp.ones_like(u), u)
-
-
-def body_clearance(process: Process, tool: Tool) -> Scalar:
-    r"""Displacement left before the rigid body touches the part [mm]; negative: it does.
-
-    $e_{crit} - e$, $e_{crit} = h_b\cos\theta + (R - R_b)\sin\theta$: the disc comes
-    unstuck when the stiff support behind it reaches the part, sooner at low tilt.
-
-    Args:
-        process: Tilt and displacement are read.
-        tool: Radius, body radius and recess are read.
-
-    Source: own derivation of the mechanism described in S0 (Pessoles & Tournier 2009)
-    section 2.1.
-    """
-    lift = (tool.radius - tool.body_radius) * jnp.sin(process.tilt)
-    return tool.body_recess * jnp.cos(process.tilt) + lift - process.displacement
-
-
-def most_displacement(process: Process, tool: Tool) -> Scalar:
-    r"""Largest displacement that rigid body and adhesive allow [mm].
-
-    The body touches at $e_{crit}$, see `body_clearance`; the adhesive fails where
-    $\mu k(e + \beta e^2) = \tau$, at $e = 2q/(1 + \sqrt{1 + 4\beta q})$ with
-    $q = \tau/(\mu k)$. A bed that softens ($\beta < 0$) may never press so hard.
-
-    Args:
-        process: Tilt is read.
-        tool: Radius, body radius and recess, friction, foundation, stiffening and shear
-            strength are read.
-
-    Source: own derivation.
-    """
-    touching = body_clearance(process, tool) + process.displacement
-    rubs = jnp.isfinite(tool.shear_strength) & (tool.friction > 0)
-    load = jnp.where(rubs, tool.friction * tool.foundation, 1.0)
-    load = jnp.where(rubs, tool.shear_strength, 1.0) / load
-    inside = 1 + 4 * tool.stiffening * load
-    fails = rubs & (inside >= 0)
-    failing = 2 * load / (1 + jnp.sqrt(jnp.where(fails, inside, 1.0)))
-    return jnp.where(fails, jnp.minimum(touching, failing), touching)
-
-
-def unstick_force(tilt: Scalar, tool: Tool) -> Scalar:
-    """Force at which the disc comes unstuck at this tilt [N].
-
-    Linear between the measured tilts; beyond them the nearest measurement holds.
-
-    Args:
-        tilt: Tilt [rad].
-        tool: The table `unstick_tilts`, `unstick_forces` is read.
-    """
-    return jnp.interp(tilt, tool.unstick_tilts, tool.unstick_forces)
-
-
-def shear_margin(process: Process, tool: Tool) -> Scalar:
-    r"""Shear stress left before the adhesive fails [MPa]; infinite where not given.
-
-    $\tau - \mu k(e + \beta e^2)$: friction under the deepest point.
-
-    Args:
-        process: Displacement is read.
-        tool: Friction, foundation, stiffening and shear strength are read.
-
-    Source: own derivation, Coulomb friction under a Winkler bed.
-    """
-    deepest = bed_pressure(tool.foundation, tool.stiffening, process.displacement)
-    return tool.shear_strength - tool.friction * deepest

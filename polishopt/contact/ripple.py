@@ -31,7 +31,8 @@ from jaxtyping import Array, Float
 
 from ..parts import Process, Scalar, Tool
 from ..path.guide import Bends
-from .pressure import bed_pressure, envelope
+from .flat import envelope
+from .pressure import bed_pressure
 
 
 HARMONICS = 3
@@ -194,8 +195,9 @@ def rims(
     signs = jnp.asarray([1.0, -1.0], dtype=real)[:, None, None]
     # from the contact point to the rim, in the disc
     x = radius * (1 - signs * lean * ahead / reach)
-    d = jnp.stack([-lean * level * x, signs * radius * aside / reach], axis=-1)
-    sunk = jnp.einsum("...a,ab,...b->...", d, curvature, d)
+    d = -lean * level * x, signs * radius * aside / reach
+    sunk = curvature[0, 0] * d[0] ** 2 + curvature[1, 1] * d[1] ** 2
+    sunk = sunk + (curvature[0, 1] + curvature[1, 0]) * d[0] * d[1]
     rim_radius = radius * level**2 / reach**3
 
     loop = _loop(process.trochoid_radius * k)

@@ -98,6 +98,7 @@ def walked(
         vacant = np.zeros(len(jax.tree.leaves(places)[0]), bool)
     parts, columns = look(places, vacant)
     walk = _set_out(parts, places, lower, upper)
+    _ended.meanwhile(walk, parts, lower, upper, rules)
     while True:
         walk, done = _turn(walk, parts, columns, lower, upper, rules)
         done = np.asarray(done) | vacant
@@ -109,7 +110,7 @@ def walked(
 def ahead(
     outline: tuple[Any, Any], places: PyTree, lower: PyTree, upper: PyTree, rules: Rules
 ) -> None:
-    """Has the programs of `walked` made in the background.
+    """Has the programs made in the background that `walked` begins with.
 
     Args:
         outline: What `look` will return, by its shapes.
@@ -121,7 +122,6 @@ def ahead(
     parts, columns = outline
     walk = _set_out.ahead(parts, places, lower, upper)
     _turn.ahead(walk, parts, columns, lower, upper, rules)
-    _ended.ahead(walk, parts, lower, upper, rules)
 
 
 @seldom

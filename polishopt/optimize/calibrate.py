@@ -19,7 +19,7 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from ..constants import START, part, with_constants
-from ..contact.pressure import flat_force
+from ..contact.flat import flat_force
 from ..parts import Scalar
 from ..setup import Setup
 from .runs import Finished, Run, finished

@@ -82,14 +82,14 @@ def followed(processes: Process, before: Population, setup: Setup) -> Run:
         abrasive = dataclasses.replace(setup.abrasive, preston=one)
         path = along(process, dataclasses.replace(setup, tool=tool, abrasive=abrasive))
         dwell = jnp.sum(path.dwell)
-        share = jnp.sum(path.dwell, axis=1) / dwell
+        share = path.dwell / dwell
         area = jnp.sum(share * path.area)
         force = jnp.sum(share * path.force)
         pressure = jnp.where(area > 0, force / jnp.where(area > 0, area, 1.0), 0.0)
         weight = path.weight / jnp.sum(path.weight)
-        square = jnp.sum(weight[:, None] * path.pace**2) / path.pace.shape[1]
+        square = jnp.sum(weight * path.pace**2)
         bend = jnp.einsum("k,kab->ab", weight, path.curvature)
-        scaled = (pressure, jnp.sum(path.kept), jnp.sum(path.volumes))
+        scaled = (pressure, jnp.sum(path.kept), jnp.sum(path.taken))
         made = rims(process, setup.tool.radius, bends, bend, jnp.sqrt(square), setup.side)
         passed = 1 - gaussian_transmission(made.wavelengths, setup.roughness_cutoff)
         return scaled, (dwell, made, passed, whole)
