@@ -183,9 +183,9 @@ def rims(
     swing = -lean * bends.curvature * radius * level
     swift = jnp.sqrt(1 + swing**2)
     along = 2 * jnp.pi / process.step * order[None, :] / swift[:, None]
-    k = along[:, :, None] * secant
+    k = along[:, :, None] * secant[None, None, :]
     # the wave from where the axis leans: the guide's tangent turns by arctan(swing) to V
-    aspect = bends.aspect[:, None] + jnp.asarray(angle, dtype=real)
+    aspect = bends.aspect[:, None] + jnp.asarray(angle, dtype=real)[None, :]
     cosine, sine = jnp.cos(aspect), jnp.sin(aspect)
     ahead = level * (cosine - swing[:, None] * sine) / swift[:, None]
     aside = (sine + swing[:, None] * cosine) / swift[:, None]
@@ -194,8 +194,8 @@ def rims(
     reach = jnp.sqrt(ahead**2 + aside**2)
     signs = jnp.asarray([1.0, -1.0], dtype=real)[:, None, None]
     # from the contact point to the rim, in the disc
-    x = radius * (1 - signs * lean * ahead / reach)
-    d = -lean * level * x, signs * radius * aside / reach
+    x = radius * (1 - signs * lean * (ahead / reach)[None])
+    d = -lean * level * x, signs * radius * (aside / reach)[None]
     sunk = curvature[0, 0] * d[0] ** 2 + curvature[1, 1] * d[1] ** 2
     sunk = sunk + (curvature[0, 1] + curvature[1, 0]) * d[0] * d[1]
     rim_radius = radius * level**2 / reach**3
@@ -203,7 +203,7 @@ def rims(
     loop = _loop(process.trochoid_radius * k)
     # dk across V, over 2 pi |V|; both signs of n
     share = jnp.asarray(weights / 2 / np.cos(angle), dtype=real)
-    measure = k * share / swift[:, None, None]
+    measure = k * share[None, None, :] / swift[:, None, None]
     return Rims(
         depths=process.displacement - slope * x - 0.5 * sunk,
         speed=process.spin * radius,

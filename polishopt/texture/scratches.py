@@ -147,8 +147,7 @@ def groove_cumulants(abrasive: Abrasive, pressure: Scalar, removal: Scalar) -> S
         moment = -moment * depth * (1.0 + n * variance)
         moments.append(-PARABOLA[n - 1] / PARABOLA[0] * moment)
     # one axis for the orders: their decays are one program then, not three
-    axes = [1] * max(depth.ndim, removal.ndim)
-    order = jnp.asarray(ORDERS, removal.dtype).reshape(-1, *axes)
+    order = jnp.asarray(ORDERS, removal.dtype)
     x, floored = decay_exponent(order * removal, wear)
     # what arrived and has not decayed, h (1 - e^-x)/x; where the exponent is capped it is
     # A/n
