@@ -23,8 +23,10 @@ PLAIN = {
 }
 # XLA takes this from the environment only, and passes over names that it does not know.
 EXTRA, SHARED = "xla_backend_extra_options", "xla_cpu_use_multi_output_fusion"
-# What a program is told to go without that.
-ALONE = {"xla_disable_hlo_passes": "cpu_multi_output_fusion"}
+# What a program is told to go without that; and without sums in two stages, which are kind
+# to single precision, but another program for each of them.
+WITHOUT = "xla_disable_hlo_passes"
+ALONE, STAGES = "cpu_multi_output_fusion", "tree_reduction_rewriter"
 # A loop of more turns than this is long.
 LONG = 64
 PROGRAMS = Jaxpr, ClosedJaxpr
@@ -40,9 +42,10 @@ def options(program: Jaxpr | None, level: int) -> dict[str, Any]:
     """
     asked = re.search(rf"--{LEVEL}=(\d)", os.environ.get("XLA_FLAGS", ""))
     level = min(level, int(asked[1])) if asked else level
-    wanted = {LEVEL: level, **PLAIN}
+    without = [STAGES] if jax.config.read("jax_enable_x64") else []
     if program is None or longest_loop(program) > LONG:
-        wanted |= ALONE
+        without.append(ALONE)
+    wanted = {LEVEL: level, **PLAIN, WITHOUT: ",".join(without)}
     return {name: value for name, value in wanted.items() if _known(name, value)}
 
 
