@@ -23,8 +23,8 @@ PLAIN = {
 }
 # XLA takes this from the environment only, and passes over names that it does not know.
 EXTRA, SHARED = "xla_backend_extra_options", "xla_cpu_use_multi_output_fusion"
-# What a program is told to go without that; and without sums in two stages, which are kind
-# to single precision, but another program for each of them.
+# Passes of XLA that a program goes without: that one, where it has long loops; and sums in
+# two stages, which help single precision, but make a kernel more of every sum.
 WITHOUT = "xla_disable_hlo_passes"
 ALONE, STAGES = "cpu_multi_output_fusion", "tree_reduction_rewriter"
 # A loop of more turns than this is long.

@@ -148,14 +148,14 @@ def along(process: Process, setup: Setup) -> Stations:
     spacing = process.step / count
     surface, grid = setup.surface, setup.grid
 
-    tool, nodes_of = setup.tool, (setup.sampling.rows, setup.sampling.columns)
+    tool, per_patch = setup.tool, (setup.sampling.rows, setup.sampling.columns)
 
     # one contact patch serves all phases of a loop, and on a plane all stations; its force
     # and area are found apart: the area of its nodes has a corner wherever a row of them
     # comes to reach across the disc
     level, flat = None, ()
     if setup.level:
-        level = flat_patch(process, tool, side, *nodes_of)
+        level = flat_patch(process, tool, side, *per_patch)
         pressed = process.tilt, process.displacement
         flat = flat_load(tool.radius, tool.foundation, *pressed, tool.stiffening)
         flat = tuple(jnp.where(process.displacement > 0, one, 0.0) for one in flat)
@@ -237,7 +237,7 @@ def along(process: Process, setup: Setup) -> Stations:
         if not setup.flat:
             mean_bend = jnp.mean(jax.vmap(bend)(place), axis=0)
         touching = here, tool, mean_bend, side
-        nodes = level or patch(*touching, *nodes_of, setup.panels)
+        nodes = level or patch(*touching, *per_patch, setup.panels)
         force, area = flat or force_and_area(*touching, setup.panels)
         points, volumes = jax.vmap(touch, in_axes=(None, 0, 0, 0, 0))(
             nodes, place, tangent, speed, dwell

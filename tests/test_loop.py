@@ -48,6 +48,7 @@ def test_smooth_maximum_lies_just_above_the_largest():
     assert_close(got[2], values[2, 0], rtol=1e-14)
     assert_gradient(lambda x: largest(x)[None], np.array([1.0, -1.01, 0.0, 0.9]))
     assert_close(jax.grad(lambda x: largest(x))(jnp.zeros(3)), np.zeros(3), atol=0)
+    assert jax.jvp(largest, (jnp.zeros(3),), (jnp.full(3, 5.0),))[1] == 0
     for size in (1e-30, 1e30):
         wide = jnp.asarray([1.0, 0.5, 1e-30], jnp.float32) * jnp.float32(size)
         assert_close(largest(wide), largest(jnp.asarray([1.0, 0.5])) * size, rtol=1e-6)

@@ -10,8 +10,9 @@ from hock_schittkowski import PROBLEMS
 from polishopt.optimize import solve
 from polishopt.optimize.batches import in_batches, looked_at, walked
 from polishopt.optimize.model import Merit, Model, learned, least_of_model
+from polishopt.optimize.penalty import Duals
 from polishopt.optimize.values import Values
-from polishopt.optimize.walk import Rules
+from polishopt.optimize.walk import Rules, problem_of
 
 
 LOWER, UPPER = {"a": -2.0, "b": -2.0}, {"a": 2.0, "b": 2.0}
@@ -190,6 +191,36 @@ def test_an_update_of_curvature_is_never_much_larger_than_what_it_explains():
     still = learned(known, step, known @ step)
     assert_close(still, known)
     assert_close(learned(known, 0 * step, 0 * change), known)
+
+
+@pytest.mark.parametrize("restoring", [False, True])
+def test_the_merit_is_the_augmented_lagrangian(restoring):
+    """By hand: a residual, an objective, two inequalities, one of them idle, and h = 0."""
+    values = jnp.array([0.3, 2.0, 0.5, -4.0, -0.7])
+    scale, multiplier, penalty = np.array(
+        [[2.0, 0.5, 4.0], [0.6, 0.2, -1.5], [9.0, 16.0, 25.0]]
+    )
+    x = {"a": jnp.array(1.0)}
+    parts = (jnp.zeros(1), jnp.zeros(1), jnp.zeros(2), jnp.zeros(1))
+    problem = problem_of(parts, x, {"a": jnp.array(0.0)}, {"a": jnp.array(2.0)})
+    one, no = jnp.array(1.0), jnp.array(False)
+    duals = Duals(
+        scale=jnp.asarray(scale),
+        multiplier=jnp.asarray(multiplier),
+        penalty=jnp.asarray(penalty),
+        most=one,
+        leeway=one,
+        restoring=no | restoring,
+        measuring=no,
+    )
+    merit = problem.merit(duals)
+
+    c = np.asarray(values)[2:] / scale
+    rows = c if restoring else np.sqrt(penalty) * c + multiplier / np.sqrt(penalty)
+    rows = np.where([True, True, False], np.maximum(rows, 0.0), rows)
+    want = 0.5 * np.sum(rows**2) + (0.0 if restoring else 0.5 * 0.3**2 + 2.0)
+    assert_close(merit(values), want, rtol=1e-14)
+    assert_close(merit.pull(values), jax.grad(merit)(values), rtol=1e-14)
 
 
 def test_the_model_follows_a_curved_constraint():

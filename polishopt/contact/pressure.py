@@ -127,7 +127,7 @@ def patch(
         The patch, with `2 * rows` rows and `panels * columns` columns. Without
         displacement all pressures are zero.
 
-    Source: own derivation; flat case as `flat_force`.
+    Source: own derivation; flat case as `flat.flat_load`.
     """
     angle, height = rows_within(_rim_angle(process, tool.radius, curvature), rows)
     return _nodes(angle, height, process, tool, curvature, lean, columns, panels)
@@ -260,7 +260,7 @@ def force_and_area(
         lean: As in `patch`.
         panels: As in `patch`.
 
-    Source: own derivation; on a plane `flat_force` and `flat_area`.
+    Source: own derivation; on a plane `flat.flat_load`.
     """
     nodes, weights = (w[None, None, :] for w in _gauss(LOAD_ROWS, process.tilt))
     sides = jnp.asarray([-1.0, 1.0], process.tilt.dtype)

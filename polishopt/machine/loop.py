@@ -185,7 +185,7 @@ def largest(values: Float[Array, "*n m"]) -> Float[Array, "*n"]:
 @largest.defjvp
 def _largest_jvp(primals, tangents):
     # each value counts by its share of the norm, to the power p - 1: written out, since
-    # powers and roots that are differentiated one by one make ten times the code
+    # powers and roots that are differentiated one by one make several times the code
     (values,), (changes,) = primals, tangents
     most, parts, norm = _over_most(values)
     share = parts / norm[..., None]

@@ -78,21 +78,33 @@ class Problem(eqx.Module):
         return jnp.arange(self.constraints) < self.inequalities
 
     def merit(self, duals: Duals) -> Merit:
-        """What the inner problem makes small."""
+        r"""What the inner problem makes small.
+
+        Half the squares of the residuals and of $\sqrt\mu\,c/s + \lambda/\sqrt\mu$, as far
+        as positive where c is an inequality, and the objectives as they are; while
+        restoring, of the violations $c/s$ alone.
+
+        Args:
+            duals: Scales s, multipliers $\lambda$, penalties $\mu$.
+        """
         dtype = duals.scale.dtype
-        squared, single = np.eye(2).repeat([self.residuals, self.objectives], axis=1)
+        # 1 for the residuals, and 1 for the objectives, among what is no constraint
+        squared, single = (
+            jnp.asarray(row, dtype)
+            for row in np.eye(2).repeat([self.residuals, self.objectives], axis=1)
+        )
         counts = jnp.where(duals.restoring, 0.0, jnp.ones((), dtype))
         root = jnp.where(duals.restoring, 1.0, jnp.sqrt(duals.penalty))
-        none, no = jnp.zeros(self.plain, dtype), jnp.zeros(self.constraints, dtype)
+        zero = jnp.zeros_like(squared)
 
         def joined(plain, constraints):
             return jnp.concatenate([plain, constraints])
 
         return Merit(
-            gain=joined(counts * squared.astype(dtype), root / self.measure(duals)),
-            offset=joined(none, counts * duals.multiplier / root),
-            hinged=joined(none > 0, self.hinged()),
-            lead=joined(counts * single.astype(dtype), no),
+            gain=joined(counts * squared, root / self.measure(duals)),
+            offset=joined(zero, counts * duals.multiplier / root),
+            hinged=joined(zero > 0, self.hinged()),
+            lead=joined(counts * single, jnp.zeros_like(root)),
         )
 
     def measure(self, duals: Duals) -> Float[Array, " c"]:
