@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
+from .files.answered import optimum
 from .files.assemble import PlanJob
-from .files.config import Loaded, optimum
+from .files.config import Loaded
 from .files.document import write_text
 from .files.results import write_json, write_table
 from .optimize.goals import all_excesses, all_misses, reached

@@ -17,8 +17,9 @@ from . import feed_plot, plots, postprocess, report, resolved, shares_plot
 from .chain import polish
 from .contact.pressure import patch
 from .files import assemble
+from .files.answered import optimum
 from .files.assemble import Job, PlanJob
-from .files.config import Loaded, optimum
+from .files.config import Loaded
 from .files.document import write_text
 from .files.results import write_json, write_maps, write_sensitivity, write_shares
 from .files.schema import StepConfig

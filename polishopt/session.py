@@ -19,8 +19,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
-from .files.config import ConfigError, Loaded, describe, load
+from .files.config import ConfigError, Loaded, load
 from .files.schema import StepConfig
+from .files.summary import describe
 
 
 if TYPE_CHECKING:

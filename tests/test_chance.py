@@ -19,8 +19,9 @@ from polishopt.constants import START, part, with_constants
 from polishopt.contact.flat import flat_force
 from polishopt.contact.pressure import patch
 from polishopt.files import assemble
-from polishopt.files.config import ConfigError, describe, load
+from polishopt.files.config import ConfigError, load
 from polishopt.files.results import write_json
+from polishopt.files.summary import describe
 from polishopt.margin import margin_deviations
 from polishopt.optimize.goals import Goal, Limits, excesses
 from polishopt.optimize.tune import tune

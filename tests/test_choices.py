@@ -26,9 +26,11 @@ from polishopt import (
 )
 from polishopt.choice_plot import figure
 from polishopt.choice_report import Row, notes, show, table as table_of
+from polishopt.files.answered import optimum
 from polishopt.files.assemble import job
-from polishopt.files.config import ConfigError, check, describe, load, optimum
+from polishopt.files.config import ConfigError, check, load
 from polishopt.files.schema import schema_text
+from polishopt.files.summary import describe
 from polishopt.optimize import kept as kept_module, tune as tune_module
 from polishopt.optimize.choices import Alternative, choose, distance, ranking
 from polishopt.optimize.tune import Verdict

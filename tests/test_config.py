@@ -9,18 +9,12 @@ from pathlib import Path
 
 import pytest
 from polishopt.files import library
-from polishopt.files.config import (
-    ConfigError,
-    Loaded,
-    describe,
-    internal,
-    load,
-    optimum,
-    write_text,
-)
-from polishopt.files.given import Abrasive, Machine, Tool
+from polishopt.files.answered import optimum
+from polishopt.files.config import ConfigError, Loaded, internal, load, write_text
 from polishopt.files.quantity import Between, Tuned
 from polishopt.files.schema import Config, schema_text
+from polishopt.files.shop import Abrasive, Machine, Tool
+from polishopt.files.summary import describe
 from polishopt.units import UNITS, suffix
 
 
@@ -731,7 +725,8 @@ def test_an_interval_is_written_as_people_do(interval):
 
 def test_reading_a_config_imports_neither_jax_nor_numpy():
     code = (
-        "import sys; from polishopt.files.config import load, describe;"
+        "import sys; from polishopt.files.config import load;"
+        "from polishopt.files.summary import describe;"
         f"describe(load({str(EXAMPLES[0])!r}));"
         "print([m for m in ('jax', 'equinox', 'numpy', 'matplotlib') if m in sys.modules])"
     )

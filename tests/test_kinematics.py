@@ -11,7 +11,7 @@ import pytest
 from helpers import assert_close, assert_gradient
 from polishopt.files import library
 from polishopt.files.assemble import machine as assembled
-from polishopt.files.given import Machine as Section
+from polishopt.files.shop import Machine as Section
 from polishopt.machine import Kind, faults, forward, inverse, inverse_path, reasons, route
 from polishopt.machine.kinematics import (
     _angle,

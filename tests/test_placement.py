@@ -16,10 +16,12 @@ from helpers import assert_close
 from polishopt import postprocess
 from polishopt.blocks import cut
 from polishopt.files import library
+from polishopt.files.answered import optimum
 from polishopt.files.assemble import job, machine as assembled, plan_job
-from polishopt.files.config import ConfigError, describe, load, optimum
-from polishopt.files.given import Machine as Section
+from polishopt.files.config import ConfigError, load
 from polishopt.files.ncode import DIALECTS
+from polishopt.files.shop import Machine as Section
+from polishopt.files.summary import describe
 from polishopt.fit import fit
 from polishopt.machine import forward, inverse
 from polishopt.machine.kinematics import placed

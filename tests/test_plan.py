@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 from helpers import assert_close
 from polishopt.chain import finish
+from polishopt.files.answered import optimum
 from polishopt.files.assemble import plan_job
-from polishopt.files.config import ConfigError, describe, load, optimum
+from polishopt.files.config import ConfigError, load
+from polishopt.files.summary import describe
 from polishopt.mechanics import mechanics
 from polishopt.optimize.goals import (
     Limits,

@@ -6,8 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import assert_close
+from polishopt.files.answered import optimum
 from polishopt.files.assemble import geometry, guide, surface
-from polishopt.files.config import ConfigError, check, describe, load, optimum
+from polishopt.files.config import ConfigError, check, load
+from polishopt.files.summary import describe
 from polishopt.fit import main
 from polishopt.path import Nurbs
 from polishopt.path.even import Even

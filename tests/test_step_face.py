@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from helpers import assert_close
 from polishopt.chain import polish
+from polishopt.files.answered import optimum
 from polishopt.files.assemble import job, step_surface
-from polishopt.files.config import ConfigError, check, optimum
+from polishopt.files.config import ConfigError, check
 from polishopt.files.step_face import StepFaceError, read_face
 from polishopt.fit import main
 from polishopt.path.surface import normal

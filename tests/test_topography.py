@@ -16,8 +16,9 @@ import x3pio
 from helpers import assert_close
 from polishopt.chain import polish
 from polishopt.files import measured
+from polishopt.files.answered import optimum
 from polishopt.files.assemble import job
-from polishopt.files.config import load, optimum
+from polishopt.files.config import load
 from polishopt.files.topography import NoSurface, Topography, TopographyError, read, write
 from test_config import GOOD
 

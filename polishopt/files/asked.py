@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from .given import Abrasive, Section, named
 from .quantity import Aim, Between, Goal, Tunable, Tuned, reject, sentence
+from .section import Section, named
+from .shop import Abrasive
 
 
 Truth = Annotated[bool, Field(strict=True)]

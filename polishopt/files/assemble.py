@@ -44,12 +44,12 @@ from ..texture.milling import MilledSurface, milled_map
 from ..texture.scratches import Population, groove_population
 from ..units import suffix, to_internal
 from .asked import Chance
-from .given import Machine as MachineSection
 from .measured import start_map
 from .measurements import Measurements
 from .point_grid import read_points
 from .quantity import Tuned, internal
 from .schema import StepConfig, erring
+from .shop import Machine as MachineSection
 from .step_face import read_face
 
 

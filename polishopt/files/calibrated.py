@@ -12,9 +12,9 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from .asked import Roughness
 from .config import Loaded, seen_from
 from .document import dump
-from .given import Abrasive, Tool
 from .measurements import plain
 from .override import place_in
+from .shop import Abrasive, Tool
 
 
 SECTIONS: dict[str, type[BaseModel]] = {

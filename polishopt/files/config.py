@@ -1,11 +1,9 @@
-"""Config: from a YAML file to a checked config, and back with the answer written in.
+"""Config: from a YAML file to a checked config.
 
 All mistakes of a file are reported at once, each with its line, the value as typed, what
 is allowed and its unit. Neither JAX nor NumPy is imported.
 """
 
-import copy
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,25 +12,22 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 from ruamel.yaml.comments import CommentedMap
 
-from ..units import label, suffix
-from .asked import Chance
 from .choices import combinations, named, title
 from .document import (
     ConfigError as ConfigError,
     Keys,
     Problem,
-    dump,
     parse,
     read_text,
     survey,
     write_text as write_text,
 )
-from .given import Lines, Nurbs, PointGrid, StepFace
 from .library import SHELVES, filled, names
 from .override import CHOICES, override
+from .part import PointGrid, StepFace
 from .place import Located, problems_in
 from .point_grid import PointGridError, read_points
-from .quantity import Tuned, internal as internal
+from .quantity import internal as internal
 from .schema import Config, StepConfig, erring, json_schema as json_schema
 from .sentence import did_you_mean, shown, typed
 from .step_face import StepFaceError, read_face
@@ -292,179 +287,3 @@ def root_file(data: Any, section: str, folder: Path) -> str:
         return ""
     inside["file"] = str(folder / name)
     return name
-
-
-def optimum(
-    loaded: Loaded, answers: Mapping[str, float], folder: str | Path | None = None
-) -> str:
-    """The config with an answer written in as the new `start` of each tuned value.
-
-    Comments and layout are kept. Values are rounded to six digits, and rounding never
-    leaves the range given in `between`.
-
-    Args:
-        loaded: The config that was solved.
-        answers: The answer by key and in the unit of the key: `{"tilt_deg": 7.5}`; in a
-            plan by step and key, `{"P600 tilt_deg": 7.5}`.
-        folder: Where the text will lie, if elsewhere: then the path of a start surface is
-            written as seen from there.
-
-    Raises:
-        ValueError: if a key is not tuned in this config.
-    """
-    document = copy.deepcopy(loaded.document)
-    steps = loaded.steps or (("", loaded.config),)
-    for name, value in answers.items():
-        step, _, key = name.rpartition(" ")
-        index = [known for known, _ in steps].index(step)
-        tuned = steps[index][1].tuned()
-        if key not in tuned:
-            raise ValueError(f"`process.{key}` is not tuned in {loaded.path}.")
-        low, high = tuned[key].between
-        rounded = min(max(float(f"{value:.6g}"), low), high)
-        section = document["steps"][index] if loaded.steps else document
-        if key in section.get("process", {}):
-            section["process"][key]["start"] = rounded
-        else:
-            # tuned for every step at the top, but each step has an answer of its own
-            own = section.setdefault("process", CommentedMap())
-            own[key] = CommentedMap({"start": rounded, "between": [low, high]})
-    surface = loaded.config.start.file
-    if folder is not None and surface is not None:
-        document["start"]["file"] = seen_from(surface, folder)
-    if folder is not None and isinstance(loaded.config.part, PointGrid | StepFace):
-        document["part"]["file"] = seen_from(loaded.config.part.file, folder)
-    return dump(document)
-
-
-def seen_from(path: str, folder: str | Path) -> str:
-    """A path relative to a folder, or whole where there is no way between their drives."""
-    try:
-        return Path(os.path.relpath(path, folder)).as_posix()
-    except ValueError:
-        return str(Path(path).absolute())
-
-
-def describe(loaded: Loaded) -> str:
-    """A summary of a config for people: what is given, tuned, wanted and limited.
-
-    Args:
-        loaded: A checked config; of a plan, every step is summed up.
-    """
-    parts = [
-        f"step {i + 1}, {name}\n{described(config, loaded.measured if i == 0 else '')}"
-        for i, (name, config) in enumerate(loaded.steps)
-    ]
-    parts = parts or [described(loaded.config, loaded.measured)]
-    if loaded.alternatives:
-        parts.append(compared(loaded))
-    return "\n\n".join(parts)
-
-
-def compared(loaded: Loaded) -> str:
-    """The choices of a config in a sentence or two.
-
-    Args:
-        loaded: A checked config with choices.
-    """
-    words: dict[str, list[str]] = {}
-    for one in loaded.alternatives:
-        for key, word in one.chosen.items():
-            if word not in words.setdefault(key, []):
-                words[key].append(word)
-    listed = "; ".join(f"{key} {', '.join(found)}" for key, found in words.items())
-    return (
-        f"choices: {listed}\npolishopt.fit tunes all {len(loaded.alternatives)} "
-        "combinations, and all of them pass this check; above are the config's own values"
-    )
-
-
-def described(config: StepConfig, measured: str = "") -> str:
-    """A summary of one step.
-
-    Args:
-        config: A checked config.
-        measured: What is known of a measured start surface.
-    """
-
-    def quantity(key: str, value: Any) -> str:
-        unit = label(suffix(key))
-        if isinstance(value, Tuned):
-            low, high = value.between
-            return f"tuned in [{low:g}, {high:g}] {unit}, from {value.start:g}".replace(
-                " ,", ","
-            )
-        return f"{value:g} {unit}".rstrip()
-
-    def word(key: str) -> str:
-        unit = suffix(key)
-        return (key.removesuffix("_" + unit) if unit else key).replace("_", " ")
-
-    part, tool, guide = config.part, config.tool, config.guide
-    sides = " x ".join(f"{side:g}" for side in part.size_mm)
-    kind = part.surface.replace("_", " ")
-    for key in ("radius_mm", "conic", "twist_1_mm"):
-        if hasattr(part, key):
-            kind += f", {word(key)} {quantity(key, getattr(part, key))}"
-    if isinstance(part, Nurbs):
-        kind += f", {len(part.net_mm)} x {len(part.net_mm[0])} control points"
-    if isinstance(part, PointGrid | StepFace):
-        kind += f" {part.file}"
-    if isinstance(part, StepFace) and part.face is not None:
-        kind += f", face {part.face}"
-    keys = ("order", "count", "turns", "repeats", "angle_deg", "segment_mm")
-    density = ", ".join(
-        f"{word(key)} {quantity(key, getattr(guide, key))}"
-        for key in keys
-        if hasattr(guide, key)
-    )
-    if isinstance(guide, Lines):
-        density = f"{guide.count} lines" + (" one way" if guide.one_way else "")
-    density += ", even by area" if guide.even else ""
-    family = guide.family.replace("_", " ")
-    start = [key for key, value in config.start if value is not None]
-    goals = [
-        f"{word(key)} {goal.value:g} ± {goal.tolerance:g} {label(suffix(key))}".rstrip()
-        + (" at the worst place" if goal.at == "worst" else "")
-        for key, goal in config.target or ()
-        if goal is not None
-    ]
-    holds = {"unstick": tool.unstick or tool.shear_strength_MPa}
-
-    def likely(key: str, value: Any) -> str:
-        if isinstance(value, Chance):
-            odds = quantity("probability_percent", value.probability_percent)
-            return f"{word(key)} with a chance of at most {odds}"
-        return word(key) if value is True else f"{word(key)} {quantity(key, value)}"
-
-    limits = [
-        likely(key, value) + ("" if holds.get(key, True) else " (this tool has no table)")
-        for key, value in config.limits
-        if value is not None and value is not False
-    ]
-    errors = [(key, e) for key, e in config.errors.items() if not erring(config, key)]
-    grain = quantity("grain_um", config.abrasive.grain_um)
-    rows = [
-        ("title", config.title),
-        ("part", f"{kind}, {sides} mm"),
-        (
-            "tool",
-            f"{tool.preset or 'own'}, diameter {quantity('diameter_mm', tool.diameter_mm)}",
-        ),
-        ("abrasive", f"{config.abrasive.preset or 'own'}, grain {grain}"),
-        ("machine", config.machine.preset or "own"),
-        ("guide", f"{family}, {density}, {guide.corner} corners, {guide.mode}"),
-        *(
-            (word(key), quantity(key, value))
-            for key, value in config.process.given().items()
-        ),
-        ("start", measured or ", ".join(start)),
-        ("target", ", ".join(goals) or "none"),
-        ("limits", ", ".join(limits) or "none"),
-        ("errors", ", ".join(f"{key} ± {e:g}" for key, e in errors)),
-        ("secondary", config.secondary),
-        ("program", ", ".join(config.program.dialects) or "none"),
-        ("pre-flight", "python -m polishopt.program --check runs the path and looks at it"),
-    ]
-    width = max(len(name) for name, _ in rows)
-    return "\n".join(f"{name:<{width}}  {text}" for name, text in rows if text)

@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from .given import Section
 from .quantity import Between, sentence
+from .section import Section
 
 
 NAME = "^[A-Za-z][A-Za-z0-9_]{0,15}$"

@@ -13,23 +13,12 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, model_validator
 
 from .asked import Chance, Limits, Process, Start, Target
-from .given import (
-    Abrasive,
-    Family,
-    Hatch,
-    Hilbert,
-    HilbertRectangle,
-    Lines,
-    Machine,
-    Part,
-    Peano,
-    PeanoRound,
-    Section,
-    Tool,
-    named,
-)
+from .guides import Family, Hatch, Hilbert, HilbertRectangle, Lines, Peano, PeanoRound
+from .part import Part
 from .programmed import Program
 from .quantity import Between, Tuned, reject
+from .section import Section, named
+from .shop import Abrasive, Machine, Tool
 
 
 # sections that a step of a plan may change key by key, and those that it may replace
