@@ -37,9 +37,9 @@ from .values import Values
 from .walk import Rules
 
 
-# Rounds of multipliers, and trial points in each; as many as there are settings, if these
-# are more, since curvature is learned along one direction at a point. All starts wait for
-# the last one, and the few that have not ended by then are lost in a corner that others
+# Rounds of multipliers, and trial points in each; half as many as there are settings, if
+# that is more, since curvature is learned along one direction at a point. All starts wait
+# for the last one, and the few that have not ended by then are lost in a corner that others
 # avoid.
 ROUNDS, TRIALS = 10, 10
 
@@ -189,7 +189,7 @@ def _cost(outcome: Outcome | PlanOutcome, secondary: str) -> Scalar:
 
 def _rules(tolerance: float, count: int) -> Rules:
     """When a search for some settings is over."""
-    return Rules(tolerance, ROUNDS, max(TRIALS, count))
+    return Rules(tolerance, ROUNDS, max(TRIALS, count // 2))
 
 
 def _far(over: Mapping[str, Any], stage: Stage) -> Float[np.ndarray, " starts"]:
