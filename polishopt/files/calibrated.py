@@ -9,8 +9,9 @@ from typing import NamedTuple
 from pydantic import BaseModel
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
+from .answered import seen_from
 from .asked import Roughness
-from .config import Loaded, seen_from
+from .config import Loaded
 from .document import dump
 from .measurements import plain
 from .override import place_in
