@@ -38,9 +38,9 @@ from .walk import Rules
 
 
 # Rounds of multipliers, and trial points in each; half as many as there are settings, if
-# that is more, since curvature is learned along one direction at a point. All starts wait
-# for the last one, and the few that have not ended by then are lost in a corner that others
-# avoid.
+# that is more, since curvature is learned along one direction at a point, and the outer
+# rounds learn on. All starts wait for the last one, and the few that have not ended by then
+# are lost in a corner that others avoid.
 ROUNDS, TRIALS = 10, 10
 
 
